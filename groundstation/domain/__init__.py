@@ -1,0 +1,1 @@
+"""Frozen values that all rooms share. Imports nothing of the project outside this folder."""
