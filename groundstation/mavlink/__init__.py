@@ -1,0 +1,1 @@
+"""MAVLink 2: dialect, framing, decoding to typed messages, encoding, routing, .tlog files."""
