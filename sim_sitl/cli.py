@@ -1,0 +1,253 @@
+"""``sim-sitl``: the simulated swarm, overlays on recordings, labelled channel data.
+
+Keeps the rule that a user never sees a traceback: one clear line, exit code 1 for failures
+and 2 for wrong usage.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from groundstation.domain.errors import GroundstationError, UsageError
+from sim_sitl.cir_encoding import CirEncoding
+from sim_sitl.endpoints import parse_link
+from sim_sitl.lossy_link import LinkQuality
+from sim_sitl.modes import Flavour
+from sim_sitl.radio_sensor import SensorSettings
+from sim_sitl.scenario import write_geojson
+from sim_sitl.scenario_file import SHIPPED, load_scenario
+
+app = typer.Typer(
+    help="A simulated swarm that hears simulated beacons, over MAVLink.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+ScenarioOption = Annotated[
+    str, typer.Option("--scenario", metavar="NAME|FILE", help=f"{', '.join(SHIPPED)}, or a TOML file.")
+]
+SeedOption = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="The same seed gives the same run.")]
+BeaconsOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1, max=200, help="The scenario's first N beacons, more drawn in its area; default: all it has."
+    ),
+]
+CirOption = Annotated[
+    int,
+    typer.Option(min=0, help="Send a CIR with each n-th packet of a beacon; 0: only when the station asks."),
+]
+AnglesOption = Annotated[str, typer.Option(help="Frame of SAR_AOA: body, earth, or off.")]
+TunnelOption = Annotated[bool, typer.Option("--tunnel", help="Wrap sensor messages in TUNNEL.")]
+LinkStateOption = Annotated[
+    bool, typer.Option("--link-state", help="Send SAR_LINK_STATE, as an on-board classifier would.")
+]
+
+
+def _sensor(
+    cir_every: int, cir_full: bool, encoding: str, angles: str, link_state: bool, tunnel: bool
+) -> SensorSettings:
+    if angles not in ("body", "earth", "off"):
+        raise UsageError(f"--angles {angles!r}; needed: body, earth or off")
+    encodings = {
+        "u8-log": CirEncoding.U8_LOG_MAGNITUDE,
+        "u16": CirEncoding.U16_MAGNITUDE,
+        "i8-iq": CirEncoding.I8_IQ,
+    }
+    if encoding not in encodings:
+        raise UsageError(f"--cir-encoding {encoding!r}; needed: {', '.join(encodings)}")
+    return SensorSettings(
+        cir_every=cir_every,
+        cir_full=cir_full,
+        cir_encoding=encodings[encoding],
+        angles=angles,
+        link_state=link_state,
+        tunnel=tunnel,
+    )
+
+
+@app.command()
+def swarm(
+    link: Annotated[
+        str,
+        typer.Option(help="The station: udpout:HOST:PORT (a port of its own per vehicle) or tcp:HOST:PORT."),
+    ] = "udpout:127.0.0.1:14550",
+    vehicles: Annotated[int, typer.Option(min=1, max=200)] = 4,
+    beacons: BeaconsOption = None,
+    scenario: ScenarioOption = "open-field",
+    seed: SeedOption = 1,
+    speedup: Annotated[float, typer.Option(min=0.05, max=100.0, help="Simulated seconds a second.")] = 1.0,
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, help="Simulated seconds; default: until stopped.")
+    ] = None,
+    airborne: Annotated[
+        bool,
+        typer.Option(
+            "--airborne/--grounded",
+            help="Start in the air, flying the first pattern, or booting on the ground.",
+        ),
+    ] = True,
+    autopilot: Annotated[Flavour, typer.Option(help="Whose modes and answers.")] = Flavour.ARDUPILOT,
+    ready_after: Annotated[
+        float, typer.Option(min=0.0, help="Seconds from boot until a grounded vehicle arms.")
+    ] = 42.0,
+    truth: Annotated[
+        Path | None, typer.Option(help="Write the beacons' true places here at the start (JSON).")
+    ] = None,
+    attach: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL", help="Put the sensor on the real autopilots that send to udpin:HOST:PORT."
+        ),
+    ] = None,
+    loss: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of frames lost, each way.")] = 0.0,
+    delay_ms: Annotated[float, typer.Option(min=0.0, max=60_000.0)] = 0.0,
+    jitter_ms: Annotated[float, typer.Option(min=0.0, max=60_000.0)] = 0.0,
+    duplicate: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of frames that come twice.")
+    ] = 0.0,
+    corrupt: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of frames with a damaged byte.")
+    ] = 0.0,
+    cir_every: CirOption = 2,
+    cir_full: Annotated[bool, typer.Option("--cir-full", help="Unasked CIRs hold all 1,016 taps.")] = False,
+    cir_encoding: Annotated[str, typer.Option(help="u8-log, u16 or i8-iq.")] = "u8-log",
+    angles: AnglesOption = "body",
+    link_state: LinkStateOption = False,
+    tunnel: TunnelOption = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress lines.")] = False,
+) -> None:
+    """Fly a simulated swarm, or attach the simulated sensor to real autopilots."""
+    from sim_sitl.attach import AttachOptions, run_attached
+    from sim_sitl.simulation import SimulationSettings
+    from sim_sitl.swarm import SwarmOptions, run_swarm
+
+    world = load_scenario(scenario)
+    target = parse_link(link, ("udpout", "tcp"))
+    sensor = _sensor(cir_every, cir_full, cir_encoding, angles, link_state, tunnel)
+    quality = LinkQuality(loss, delay_ms * 1e-3, jitter_ms * 1e-3, duplicate, corrupt)
+    report = None if quiet else _line
+    if attach is not None:
+        listen = parse_link(attach, ("udpin",))
+        if speedup != 1.0:
+            raise UsageError("--speedup does not go with --attach: real autopilots keep their own time")
+        run_attached(
+            AttachOptions(world, listen, target, beacons, seed, duration, truth, quality, sensor), report
+        )
+        return
+    settings = SimulationSettings(
+        airborne=airborne, flavour=autopilot, ready_after_s=ready_after, sensor=sensor
+    )
+    if report is not None:
+        _line(
+            f"{world.name}: {vehicles} vehicles to {link}, seed {seed} "
+            "(L line of sight, n obstructed, ? not heard yet)"
+        )
+    run_swarm(
+        SwarmOptions(world, target, vehicles, beacons, seed, speedup, duration, truth, quality, settings),
+        report,
+    )
+
+
+@app.command()
+def overlay(
+    recording: Annotated[Path, typer.Argument(metavar="IN.tlog")],
+    out: Annotated[Path, typer.Option(metavar="OUT.tlog", help="The truth goes beside it, as .truth.json.")],
+    scenario: ScenarioOption = "open-field",
+    seed: SeedOption = 1,
+    beacons: BeaconsOption = None,
+    cir_every: CirOption = 2,
+    angles: AnglesOption = "body",
+    link_state: LinkStateOption = False,
+    tunnel: TunnelOption = False,
+) -> None:
+    """Put the simulated sensor on the vehicles of a recording."""
+    from sim_sitl.overlay import overlay as run_overlay
+
+    sensor = _sensor(cir_every, False, "u8-log", angles, link_state, tunnel)
+    result = run_overlay(recording, load_scenario(scenario), seed, out, sensor, beacons)
+    _line(
+        f"{out}: {result.records} records of vehicles {', '.join(map(str, result.vehicles))} kept, "
+        f"{result.added} sensor frames added; truth: {result.truth}"
+    )
+
+
+@app.command()
+def dataset(
+    rows: Annotated[int, typer.Option(help="Captures.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.npz")],
+    seed: SeedOption = 1,
+    randomise: Annotated[
+        bool,
+        typer.Option("--randomise", help="Vary the sounder by link, as the shipped classifier is trained."),
+    ] = False,
+) -> None:
+    """Write labelled channel data (a row a capture)."""
+    from sim_sitl.dataset import DatasetOptions, write_dataset
+
+    write_dataset(rows, seed, out, _Progress(), DatasetOptions(randomise=randomise))
+    _line(f"{out}: {rows} rows, seed {seed}")
+
+
+@app.command("scenario")
+def show_scenario(
+    name: Annotated[str, typer.Argument(metavar="NAME|FILE")],
+    area: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the search area here (GeoJSON).")
+    ] = None,
+    fence: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the fence here (GeoJSON).")
+    ] = None,
+) -> None:
+    """Check a scenario, say what is in it, and write its search area and fence."""
+    world = load_scenario(name)
+    write_geojson(world, area, fence)
+    _line(f"{world.name}: {world.title}")
+    _line(
+        f"{len(world.beacons)} beacons, {len(world.obstacles)} obstacles, "
+        f"{world.propagation.nlos_model} when obstructed"
+    )
+
+
+class _Progress:
+    """A share on a terminal, a line every few seconds elsewhere."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+        self._next = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        now = time.monotonic()
+        if now < self._next and done < total:
+            return
+        self._next = now + (0.2 if self._terminal else 5.0)
+        end = "\n" if done >= total or not self._terminal else ""
+        start = "\r" if self._terminal else ""
+        sys.stderr.write(f"{start}{done} of {total} rows{end}")
+        sys.stderr.flush()
+
+
+def _line(text: str) -> None:
+    print(text, flush=True)
+
+
+def main() -> None:
+    """The console script."""
+    try:
+        app()
+    except GroundstationError as error:
+        sys.stderr.write(f"sim-sitl: {error}\n")
+        raise SystemExit(error.exit_code) from None
+    except OSError as error:
+        sys.stderr.write(f"sim-sitl: {error.filename or ''}: {error.strerror or error}\n")
+        raise SystemExit(1) from None
+
+
+if __name__ == "__main__":
+    main()
