@@ -1,0 +1,89 @@
+"""ONNX Runtime on one thread against PyTorch eager on one thread, in the same run.
+
+Claim: the service classifies a link faster without torch. Prints JSON: medians in
+milliseconds per batch and their ratio, with the environment. Needs the ``train`` extra.
+
+    python benchmarks/bench_classifier.py [--repeats N] [--packets P]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import time
+from collections.abc import Callable
+
+import numpy as np
+import onnxruntime
+import torch
+
+from groundstation.channel import ChannelCapture, load_classifier
+from groundstation.channel.preprocess import INPUT_BINS, INPUT_CHANNELS
+from groundstation.channel.training.model import CnnLstm
+
+WARM_UP = 20
+
+
+def interleaved_ms(repeats: int, *functions: Callable[[], object]) -> list[float]:
+    """Median time of each, called in turn, so that a busy machine is busy for all."""
+    times = np.empty((len(functions), repeats))
+    for repeat in range(-WARM_UP, repeats):
+        for index, function in enumerate(functions):
+            start = time.perf_counter()
+            function()
+            if repeat >= 0:
+                times[index, repeat] = 1e3 * (time.perf_counter() - start)
+    return [float(value) for value in np.median(times, axis=1)]
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=200)
+    parser.add_argument("--packets", type=int, default=1)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    classifier = load_classifier()
+    model = CnnLstm().eval()
+    rng = np.random.default_rng(0)
+    result: dict[str, object] = {
+        "claim": "onnx one thread against torch eager one thread",
+        "environment": {
+            "machine": platform.machine(),
+            "python": platform.python_version(),
+            "onnxruntime": onnxruntime.__version__,
+            "torch": torch.__version__,
+            "model": classifier.version,
+        },
+        "packets": arguments.packets,
+        "repeats": arguments.repeats,
+    }
+    for links in (1, 64):
+        tensor = rng.random((links, arguments.packets, INPUT_CHANNELS, INPUT_BINS)).astype(np.float32)
+        magnitude = rng.random((links, 64)) * 0.1
+        magnitude[:, 8] = 1.0
+        captures = [[ChannelCapture(row, 1.0, 8.0)] * arguments.packets for row in magnitude]
+        tensor_torch = torch.from_numpy(tensor)
+
+        def eager(tensor_torch: torch.Tensor = tensor_torch) -> object:
+            with torch.inference_mode():
+                return model(tensor_torch)
+
+        onnx_ms, torch_ms, service_ms = interleaved_ms(
+            arguments.repeats,
+            lambda tensor=tensor: classifier.logits(tensor),  # type: ignore[misc]
+            eager,
+            lambda captures=captures: classifier.classify(captures),  # type: ignore[misc]
+        )
+        result[f"batch_{links}"] = {
+            "onnx_ms": onnx_ms,
+            "torch_eager_ms": torch_ms,
+            "ratio": torch_ms / onnx_ms,
+            "classify_with_preprocessing_ms": service_ms,
+        }
+    print(json.dumps(result, indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""The service's classifier: an ONNX network and what belongs to it.
+
+Why: P(line of sight) of every link that sent a response, in batches across links. Rules
+kept here: ONNX Runtime on one thread, never torch; batches are decided by the data (links in
+their order, grouped by number of captures), and probabilities are rounded to six decimals,
+so that a link's answer does not depend on its company.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, cast
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from groundstation.channel.calibration import Calibration
+from groundstation.channel.capture import ChannelCapture, UnusableCaptureError, Verdict, VerdictStatus
+from groundstation.channel.preprocess import (
+    INPUT_BINS,
+    INPUT_CHANNELS,
+    PREPROCESSING_VERSION,
+    network_input,
+)
+from groundstation.channel.settings import ChannelSettings
+from groundstation.domain.errors import InputError
+
+WEIGHTS_DIR = Path(__file__).parent / "weights"
+MODEL_FILE = "model.onnx"
+METADATA_FILE = "metadata.json"
+METADATA_FORMAT = 1
+
+
+class Session(Protocol):
+    """The one call of ONNX Runtime that is used (it ships no types)."""
+
+    def run(
+        self, output_names: list[str], input_feed: dict[str, NDArray[np.float32]]
+    ) -> list[NDArray[np.float32]]:
+        """Outputs by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelMetadata:
+    """What belongs to a network beside its weights (``metadata.json``)."""
+
+    version: str
+    """Names the trained model: goes into logs and cards."""
+    temperature: float
+    preprocessing_version: int
+    los_threshold: float
+    """Operating threshold on P(line of sight) that the card's confusion is given at."""
+
+    @classmethod
+    def read(cls, path: Path) -> ModelMetadata:
+        """From a file. Raises InputError on a missing, foreign or incompatible one."""
+        try:
+            tree = json.loads(path.read_text(encoding="utf-8"))
+            found = tree["format"]
+            metadata = cls(
+                version=str(tree["version"]),
+                temperature=float(tree["temperature"]),
+                preprocessing_version=int(tree["preprocessing_version"]),
+                los_threshold=float(tree["los_threshold"]),
+            )
+        except OSError as error:
+            raise InputError(f"cannot read {path}: {error.strerror}; a model's folder holds it") from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{path} is not a model's metadata ({error!r})") from error
+        if found != METADATA_FORMAT:
+            raise InputError(f"{path} has format {found}; this program reads {METADATA_FORMAT}")
+        if metadata.preprocessing_version != PREPROCESSING_VERSION:
+            raise InputError(
+                f"the model in {path.parent} needs preprocessing {metadata.preprocessing_version}; "
+                f"this program has {PREPROCESSING_VERSION}: train it again"
+            )
+        if not (np.isfinite(metadata.temperature) and metadata.temperature > 0):
+            raise InputError(f"{path}: temperature is {metadata.temperature}; it must be positive")
+        return metadata
+
+
+class Classifier:
+    """Line of sight or not, per link. Build it with :func:`load_classifier`."""
+
+    def __init__(self, session: Session, metadata: ModelMetadata, settings: ChannelSettings) -> None:
+        self._session = session
+        self._settings = settings
+        self._calibration = Calibration(metadata.temperature)
+        self.metadata = metadata
+        self.version = metadata.version
+        """Names the trained model."""
+
+    def classify(
+        self, links: Sequence[Sequence[ChannelCapture]], *, prior: float | None = None
+    ) -> list[Verdict]:
+        """One verdict a link, in order; each link is its captures, oldest first.
+
+        A capture that cannot be judged is left out (the verdict's reason says so); a link of
+        which none is left is ``unknown`` and gets ``prior`` (the settings' where None).
+        """
+        prior = self._settings.prior_los_probability if prior is None else prior
+        inputs: list[NDArray[np.float32] | None] = []
+        reasons: list[str] = []
+        for link in links:
+            stacked, reason = self._link_input(link)
+            inputs.append(stacked)
+            reasons.append(reason)
+
+        probability = np.full(len(inputs), prior)
+        by_packets: dict[int, list[int]] = {}
+        for index, stacked in enumerate(inputs):
+            if stacked is not None:
+                by_packets.setdefault(len(stacked), []).append(index)
+        for packets in sorted(by_packets):
+            members = by_packets[packets]
+            for start in range(0, len(members), self._settings.batch_max):
+                batch = members[start : start + self._settings.batch_max]
+                tensor = np.stack([cast("NDArray[np.float32]", inputs[index]) for index in batch])
+                probability[batch] = np.round(self._calibration.probability(self.logits(tensor)), 6)
+        return [
+            Verdict(
+                los_probability=float(probability[index]),
+                status=VerdictStatus.UNKNOWN if stacked is None else VerdictStatus.CLASSIFIED,
+                reason=reasons[index],
+                captures_used=0 if stacked is None else len(stacked),
+            )
+            for index, stacked in enumerate(inputs)
+        ]
+
+    def logits(self, tensor: NDArray[np.float32]) -> NDArray[np.float64]:
+        """(links, packets, channels, bins) → (links,) uncalibrated logits."""
+        return self._session.run(["logit"], {"packets": tensor})[0].astype(np.float64).reshape(-1)
+
+    def _link_input(self, link: Sequence[ChannelCapture]) -> tuple[NDArray[np.float32] | None, str]:
+        if not link:
+            return None, "no capture"
+        newest = link[-self._settings.packets_max :]
+        usable: list[NDArray[np.float32]] = []
+        last_reason = ""
+        for capture in newest:
+            try:
+                usable.append(network_input(capture, self._settings))
+            except UnusableCaptureError as error:
+                last_reason = str(error)
+        if not usable:
+            return None, last_reason
+        left_out = len(newest) - len(usable)
+        reason = f"{left_out} of {len(newest)} captures left out: {last_reason}" if left_out else ""
+        return np.stack(usable), reason
+
+
+def load_classifier(path: Path | str | None = None, *, settings: ChannelSettings | None = None) -> Classifier:
+    """The shipped classifier, or the one in folder ``path`` (what ``groundstation train`` wrote).
+
+    Raises InputError where the folder holds no model of this program's.
+    """
+    folder = WEIGHTS_DIR if path is None else Path(path)
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder; a model's folder holds {MODEL_FILE} and {METADATA_FILE}")
+    metadata = ModelMetadata.read(folder / METADATA_FILE)
+    model = folder / MODEL_FILE
+    if not model.is_file():
+        raise InputError(f"{folder} holds no {MODEL_FILE}")
+    session = open_session(model)
+    shape = session.get_inputs()[0].shape if session.get_inputs() else []
+    if list(shape[2:]) != [INPUT_CHANNELS, INPUT_BINS]:
+        raise InputError(f"{model} takes {shape}; (links, packets, {INPUT_CHANNELS}, {INPUT_BINS}) is needed")
+    return Classifier(cast("Session", session), metadata, settings or ChannelSettings())
+
+
+def open_session(model: Path) -> onnxruntime.InferenceSession:
+    """An ONNX Runtime session on one thread. Raises InputError on a file that is no network."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        return onnxruntime.InferenceSession(model.read_bytes(), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # ONNX Runtime's exceptions share no public root
+        first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{model} is not a network that ONNX Runtime can load: {first_line}") from error
