@@ -1,0 +1,32 @@
+"""Settings of the estimator engine: localisation, tracking, and how often it speaks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from groundstation.localization import LocalizationSettings
+from groundstation.tracking import TrackingSettings
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorSettings:
+    """What the estimator is run with."""
+
+    localization: LocalizationSettings = field(default_factory=LocalizationSettings)
+    """The snapshot and what is assumed of the radio; the tracker assumes the same."""
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
+    """The belief."""
+    prior_los_probability: float = 0.3
+    """P(line of sight) of a link that nobody classified."""
+    update_interval_s: float = 0.5
+    """A beacon's belief is updated at most this often, with all windows since, seconds."""
+    snapshot_interval_s: float = 2.0
+    """Algorithm 1 runs at most this often a beacon, seconds."""
+    regions_interval_s: float = 2.0
+    """Containment regions are drawn at most this often a beacon, seconds."""
+    default_radius_m: float = 500.0
+    """Without a search area: a disc of this radius round the first valid vehicle position, metres."""
+    maximum_pending: int = 512
+    """Windows of a beacon that may wait for an update; the oldest go first."""
+    maximum_beacons: int = 512
+    """Beacons kept; more are refused and counted."""

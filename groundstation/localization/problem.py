@@ -1,0 +1,301 @@
+"""What a localisation problem is, what is assumed of the radio, and what an answer holds.
+
+Exists so that every solver takes the same values and refuses the same nonsense with the
+same words. Rule: nothing here solves anything, and an error states what was seen and what
+is needed.
+
+Frame: metres east, north, up (ENU). Angles are the paper's (Gao & Sadjadpour, 2026, eqs.
+(1)–(2)): radians, azimuth counter-clockwise from east, elevation positive up, both from the
+vehicle to the beacon; NaN where a link has no usable angle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from groundstation.domain.errors import InputError
+from groundstation.domain.target import Environment
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+def _floats(values: Any) -> FloatArray:
+    return np.asarray(values, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """K radio links to one beacon, or N problems of K links each with a leading axis N."""
+
+    position_enu_m: FloatArray
+    """(K, 3) or (N, K, 3): where each vehicle was, metres."""
+    rss_dbm: FloatArray
+    """(K,) or (N, K): received power, averaged, dBm."""
+    azimuth_rad: FloatArray
+    """(K,) or (N, K): counter-clockwise from east; NaN = no usable angle."""
+    elevation_rad: FloatArray
+    """(K,) or (N, K): up from the horizontal plane; NaN = no usable angle."""
+    los_probability: FloatArray
+    """(K,) or (N, K): P(line of sight), 0 to 1; NaN = unknown, which counts as NLOS."""
+
+    def __post_init__(self) -> None:
+        for name in ("position_enu_m", "rss_dbm", "azimuth_rad", "elevation_rad", "los_probability"):
+            object.__setattr__(self, name, _floats(getattr(self, name)))
+        if self.position_enu_m.ndim < 2 or self.position_enu_m.shape[-1] != 3:
+            raise InputError(
+                f"vehicle positions have shape {self.position_enu_m.shape}; (K, 3) is needed, metres ENU"
+            )
+        expected = self.position_enu_m.shape[:-1]
+        for name in ("rss_dbm", "azimuth_rad", "elevation_rad", "los_probability"):
+            if getattr(self, name).shape != expected:
+                raise InputError(f"{name} has shape {getattr(self, name).shape}; {expected} is needed")
+
+    @property
+    def count(self) -> int:
+        """K, links a problem."""
+        return int(self.position_enu_m.shape[-2])
+
+    def has_angle(self) -> BoolArray:
+        """Which links have both angles."""
+        result: BoolArray = np.isfinite(self.azimuth_rad) & np.isfinite(self.elevation_rad)
+        return result
+
+    def los(self, threshold: float) -> BoolArray:
+        """Which links are labelled LOS: P ≥ ``threshold``; unknown (NaN) is not."""
+        result: BoolArray = np.nan_to_num(self.los_probability, nan=0.0) >= threshold
+        return result
+
+    def subset(self, keep: Any) -> Links:
+        """The links that ``keep`` selects along the last link axis of a single problem."""
+        return Links(
+            self.position_enu_m[keep],
+            self.rss_dbm[keep],
+            self.azimuth_rad[keep],
+            self.elevation_rad[keep],
+            self.los_probability[keep],
+        )
+
+    def problem(self, index: int) -> Links:
+        """One problem of a batch."""
+        return self.subset(index)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchArea:
+    """Where the target may be: a disc or a polygon, between two heights."""
+
+    center_enu_m: FloatArray
+    """(2,) or (3,): the disc's centre, metres; of a polygon its centroid."""
+    radius_m: float
+    """The disc's radius; of a polygon the radius of the disc round the centroid that holds it."""
+    height_min_m: float
+    """Lowest height of the target in the ENU frame, metres."""
+    height_max_m: float
+    """Highest height of the target in the ENU frame, metres."""
+    polygon_en_m: BaseGeometry | None = field(default=None)
+    """Polygon or multipolygon in east and north metres; None: the disc."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center_enu_m", _floats(self.center_enu_m).reshape(-1))
+        if self.center_enu_m.size not in {2, 3} or not np.isfinite(self.center_enu_m).all():
+            raise InputError(
+                f"search area centre is {self.center_enu_m}; two or three finite ENU metres are needed"
+            )
+        if not (math.isfinite(self.radius_m) and self.radius_m > 0.0):
+            raise InputError(f"search area radius is {self.radius_m} m; a positive number is needed")
+        if not self.height_max_m >= self.height_min_m:
+            raise InputError(
+                f"target heights {self.height_min_m} to {self.height_max_m} m;"
+                " the highest must not lie under the lowest"
+            )
+
+    @classmethod
+    def of_polygon(cls, polygon_en_m: BaseGeometry, height_min_m: float, height_max_m: float) -> SearchArea:
+        """A polygonal area; raises InputError when it is empty."""
+        repaired = shapely.make_valid(polygon_en_m)
+        if repaired.is_empty or repaired.area <= 0.0:
+            raise InputError("the search area's polygon is empty; a polygon with an area is needed")
+        center = np.array([repaired.centroid.x, repaired.centroid.y])
+        corners = shapely.get_coordinates(repaired)
+        radius = float(np.hypot(*(corners - center).T).max())
+        return cls(center, radius, height_min_m, height_max_m, repaired)
+
+    def contains(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
+        """Which horizontal points lie inside."""
+        if self.polygon_en_m is not None:
+            inside: BoolArray = np.asarray(
+                shapely.contains_xy(self.polygon_en_m, east_m, north_m), dtype=bool
+            )
+            return inside
+        within: BoolArray = (
+            np.hypot(east_m - self.center_enu_m[0], north_m - self.center_enu_m[1]) <= self.radius_m
+        )
+        return within
+
+    def clip(self, position_enu_m: FloatArray) -> FloatArray:
+        """(…, 3) → the nearest places inside area and height limits (Euclidean)."""
+        points = np.array(position_enu_m, dtype=np.float64)
+        flat = points.reshape(-1, 3)
+        outside = ~self.contains(flat[:, 0], flat[:, 1])
+        for row in np.flatnonzero(outside):
+            flat[row, :2] = self._nearest(flat[row, :2])
+        flat[:, 2] = np.clip(flat[:, 2], self.height_min_m, self.height_max_m)
+        return flat.reshape(points.shape)
+
+    def _nearest(self, point: FloatArray) -> FloatArray:
+        if self.polygon_en_m is None:
+            offset = point - self.center_enu_m[:2]
+            result: FloatArray = self.center_enu_m[:2] + offset * (self.radius_m / np.hypot(*offset))
+            return result
+        line = shapely.shortest_line(self.polygon_en_m, shapely.Point(point))
+        return np.asarray(shapely.get_coordinates(line)[0], dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class SignalModel:
+    """What is known or assumed of the radio. Defaults: the analytic channel of the paper's V-C."""
+
+    rss_std_db: float = 5.0
+    """σ_s of received power on a LOS link, dB."""
+    nlos_rss_std_db: float = 5.0
+    """σ_s of received power on an NLOS link, dB."""
+    azimuth_std_rad: float = math.radians(1.0)
+    """σ_θ, radians."""
+    elevation_std_rad: float = math.radians(1.0)
+    """σ_φ, radians."""
+    angle_outlier_probability: float = 0.01
+    """Share of LOS angles that point anywhere (used by ``posterior`` only)."""
+    los_exponent: float = 2.5
+    """β_LOS, path-loss exponent of a LOS link."""
+    los_exponent_std: float = 0.0
+    """Uncertainty of β_LOS (used by ``posterior`` only)."""
+    transmit_power_min_dbm: float = 13.0
+    """Lowest transmit power of the prior, dBm."""
+    transmit_power_max_dbm: float = 18.0
+    """Highest transmit power of the prior, dBm."""
+    known_transmit_power_dbm: float | None = None
+    """Transmit power where it is known, dBm; None: unknown."""
+    receiver_offset_db: float = 0.0
+    """What the receivers report above the true power, dB: subtracted from every sample."""
+    receiver_offset_std_db: float = 0.0
+    """Spread of a constant offset that differs from receiver to receiver, dB (``posterior`` only)."""
+    nlos_exponent_min: float = 2.0
+    """Lowest NLOS path-loss exponent of the prior."""
+    nlos_exponent_max: float = 3.5
+    """Highest NLOS path-loss exponent of the prior."""
+    nlos_bias_max_db: float = 7.0
+    """b_max: an NLOS link loses another 0 to b_max dB, eq. (8)."""
+    first_transmit_power_dbm: float = 15.0
+    """P̂_t before the first iteration, dBm."""
+    first_exponent: float = 2.7
+    """β̂ of NLOS links before the first iteration."""
+    los_threshold: float = 0.5
+    """A link with P(line of sight) at or above it is labelled LOS."""
+    minimum_links: int = 4
+    """Links that Algorithm 1 asks for."""
+    position_tolerance_m: float = 0.1
+    """ε_x: an iteration that moves less has converged."""
+    transmit_power_tolerance_db: float = 0.1
+    """ε_Pt, dB."""
+    exponent_tolerance: float = 0.01
+    """ε_PLE."""
+    maximum_iterations: int = 20
+    """J_max."""
+    diverging_rounds: int = 3
+    """J of (69) up in so many rounds running: diverging, the best round is kept."""
+    relaxation: float = 0.5
+    """ν of (70)."""
+    projection_tolerance: float = 0.05
+    """ε_proj of (76)."""
+
+    def __post_init__(self) -> None:
+        positive = (
+            "rss_std_db", "nlos_rss_std_db", "azimuth_std_rad", "elevation_std_rad", "los_exponent",
+            "first_exponent", "nlos_exponent_min", "maximum_iterations",
+        )  # fmt: skip
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise InputError(
+                    f"signal model: {name} is {getattr(self, name)}; a positive number is needed"
+                )
+        if self.nlos_exponent_max < self.nlos_exponent_min:
+            raise InputError("signal model: nlos_exponent_max lies under nlos_exponent_min")
+        if self.transmit_power_max_dbm < self.transmit_power_min_dbm:
+            raise InputError("signal model: transmit_power_max_dbm lies under transmit_power_min_dbm")
+
+    @property
+    def transmit_power_mean_dbm(self) -> float:
+        """Mean of the transmit power's prior (the known power where there is one)."""
+        if self.known_transmit_power_dbm is not None:
+            return self.known_transmit_power_dbm
+        return 0.5 * (self.transmit_power_min_dbm + self.transmit_power_max_dbm)
+
+    @property
+    def transmit_power_std_db(self) -> float:
+        """Standard deviation of the transmit power's prior; 0 where it is known."""
+        if self.known_transmit_power_dbm is not None:
+            return 0.0
+        return (self.transmit_power_max_dbm - self.transmit_power_min_dbm) / math.sqrt(12.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """A snapshot's answer."""
+
+    position_enu_m: FloatArray
+    """(3,) metres."""
+    covariance_m2: FloatArray
+    """(3, 3) m²: the Cramér–Rao bound on LOS links, else the posterior's spread."""
+    environment: Environment
+    """Algorithm 1's environment by the links' labels."""
+    method: str
+    """Name in ``METHODS`` of what gave the position."""
+    transmit_power_dbm: float
+    """P̂_t; NaN where the method does not estimate it."""
+    path_loss_exponent: FloatArray
+    """(K,) β̂ of each link."""
+    rss_cost_db2: float
+    """J of (69) at the answer, dB²."""
+    iterations: int
+    """Rounds of the outer iteration; 1 for a closed form."""
+    status: str
+    """``ok``, ``iteration limit``, ``diverging`` or what the conic solver said."""
+    solve_time_s: float
+    """How long it took; a diagnostic, never an input to anything."""
+
+
+def check_links(links: Links, needed: int, method: str) -> None:
+    """Raise InputError unless a single problem has ``needed`` usable links in two or more places."""
+    if links.position_enu_m.ndim != 2:
+        raise InputError(
+            f"{method} got positions of shape {links.position_enu_m.shape}; (K, 3) is needed"
+            " (locate_batch takes a leading axis)"
+        )
+    if links.count < needed:
+        raise InputError(f"{method} got {links.count} link(s); it needs {needed} or more")
+    bad = np.flatnonzero(~np.isfinite(links.position_enu_m).all(axis=1))
+    if bad.size:
+        raise InputError(f"vehicle position of link {bad[0]} is not finite; ENU metres are needed")
+    bad = np.flatnonzero(~np.isfinite(links.rss_dbm))
+    if bad.size:
+        raise InputError(f"received power of link {bad[0]} is not finite; dBm is needed")
+    outside = np.flatnonzero((links.los_probability < 0.0) | (links.los_probability > 1.0))
+    if outside.size:
+        raise InputError(
+            f"P(line of sight) of link {outside[0]} is {links.los_probability[outside[0]]}; 0 to 1 is needed"
+        )
+    if needed > 1:
+        spread = np.abs(links.position_enu_m - links.position_enu_m[0]).max()
+        if spread < 1.0:
+            raise InputError(
+                f"all {links.count} vehicles are within {spread:.2f} m of one place;"
+                f" {method} needs two or more places"
+            )

@@ -1,0 +1,134 @@
+"""From a belief to what an operator reads: a place, its spread, a radius, regions.
+
+Exists to keep one definition of "90 %": the share of the belief. Rule: regions are
+highest-density, horizontal (heights added up), and the radius is that of the circle round
+the mean; both count a box's own extent, so they never shrink under the grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy.ndimage import gaussian_filter
+
+from groundstation.localization.mesh import Mesh, moments
+from groundstation.localization.problem import FloatArray
+
+EnRing = tuple[tuple[float, float], ...]
+"""(east_m, north_m) corners, closed."""
+
+_SUBPOINTS = 4
+_RASTER = 64
+_SMOOTHING_CELLS = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Containment:
+    """Summary of a belief."""
+
+    position_enu_m: FloatArray
+    """(3,) posterior mean, metres."""
+    covariance_m2: FloatArray
+    """(3, 3) m²."""
+    radius_90_m: float
+    """Of the horizontal circle round the mean that holds 90 % of the belief, metres."""
+
+
+def containment(mesh: Mesh, mass: FloatArray, share: float = 0.9) -> Containment:
+    """Mean, covariance and the radius that holds ``share``."""
+    mean, covariance = moments(mesh, mass)
+    steps = (np.arange(_SUBPOINTS) + 0.5) / _SUBPOINTS * 2.0 - 1.0
+    used = np.flatnonzero(mass > 1e-7 * mass.max())
+    offset = mesh.center_enu_m[used, :2] - mean[:2]
+    half = mesh.half_m[used, 0]
+    east = offset[:, 0, None, None] + half[:, None, None] * steps[:, None]
+    north = offset[:, 1, None, None] + half[:, None, None] * steps[None, :]
+    distance = np.hypot(east, north).reshape(used.size, -1)
+    weight = np.repeat(mass[used] / _SUBPOINTS**2, _SUBPOINTS**2)
+    order = np.argsort(distance.ravel(), kind="stable")
+    reached = np.cumsum(weight[order])
+    index = int(np.searchsorted(reached, share * reached[-1]))
+    radius = float(distance.ravel()[order[min(index, order.size - 1)]])
+    return Containment(mean, covariance, radius)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Raster:
+    """The horizontal belief on equal squares, for regions and search maps."""
+
+    west_m: float
+    """East coordinate of the first column's western edge."""
+    south_m: float
+    """North coordinate of the first row's southern edge."""
+    cell_m: float
+    """Width of a square."""
+    mass: FloatArray
+    """(rows from the south, columns from the west) share of the belief."""
+
+
+def raster(mesh: Mesh, mass: FloatArray, cells: int = _RASTER) -> Raster:
+    """Horizontal belief over the part of the area that holds all but a thousandth of it."""
+    order = np.argsort(-mass, kind="stable")
+    count = int(np.searchsorted(np.cumsum(mass[order]), 0.999)) + 1
+    used = order[:count]
+    center, half = mesh.center_enu_m[used, :2], mesh.half_m[used, :1]
+    low, high = (center - half).min(axis=0), (center + half).max(axis=0)
+    cell = float((high - low).max()) / cells
+    low = 0.5 * (low + high) - 0.5 * cells * cell
+    # Every box is laid out in enough points to fill the squares that it covers.
+    values = np.zeros(cells * cells)
+    width = 2.0 * half[:, 0]
+    level = np.ceil(np.log2(np.maximum(width / cell, 1.0))).astype(int) + 1
+    for exponent in np.unique(level):
+        points = 2 ** int(exponent)
+        steps = (np.arange(points) + 0.5) / points - 0.5
+        here = level == exponent
+        east = center[here, 0, None] + width[here, None] * steps
+        north = center[here, 1, None] + width[here, None] * steps
+        column = np.clip(((east - low[0]) / cell).astype(int), 0, cells - 1)
+        row = np.clip(((north - low[1]) / cell).astype(int), 0, cells - 1)
+        index = (row[:, :, None] * cells + column[:, None, :]).ravel()
+        share = np.repeat(mass[used][here] / points**2, points**2)
+        values += np.bincount(index, weights=share, minlength=cells * cells)
+    return Raster(float(low[0]), float(low[1]), cell, values.reshape(cells, cells))
+
+
+def region_rings(
+    mesh: Mesh, mass: FloatArray, shares: tuple[float, ...] = (0.5, 0.9, 0.95)
+) -> tuple[tuple[float, tuple[EnRing, ...]], ...]:
+    """Highest-density regions: for each share its rings (outer and holes, even–odd rule), metres."""
+    picture = raster(mesh, mass)
+    # The boxes' edges are the mesh's, not the belief's: smooth over one square.
+    flat = gaussian_filter(picture.mass, _SMOOTHING_CELLS, mode="constant").ravel()
+    order = np.argsort(-flat, kind="stable")
+    reached = np.cumsum(flat[order])
+    result = []
+    for share in shares:
+        inside = np.zeros(flat.size, dtype=bool)
+        inside[order[: int(np.searchsorted(reached, share * reached[-1])) + 1]] = True
+        result.append((share, _rings(inside.reshape(picture.mass.shape), picture)))
+    return tuple(result)
+
+
+def _rings(inside: FloatArray, picture: Raster) -> tuple[EnRing, ...]:
+    """Outlines of the marked squares; runs along a row first, so that few boxes are joined."""
+    padded = np.pad(inside.astype(np.int8), ((0, 0), (1, 1)))
+    change = np.diff(padded, axis=1)
+    rows, starts = np.nonzero(change == 1)
+    _, ends = np.nonzero(change == -1)
+    cell = picture.cell_m
+    boxes = shapely.box(
+        picture.west_m + starts * cell,
+        picture.south_m + rows * cell,
+        picture.west_m + ends * cell,
+        picture.south_m + (rows + 1) * cell,
+    )
+    outline = shapely.simplify(shapely.union_all(boxes), 0.75 * cell)
+    rings: list[EnRing] = []
+    for polygon in shapely.get_parts(outline):
+        for ring in [polygon.exterior, *polygon.interiors]:
+            coordinates = shapely.get_coordinates(ring).round(2)
+            rings.append(tuple((float(east), float(north)) for east, north in coordinates))
+    return tuple(rings)

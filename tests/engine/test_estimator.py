@@ -1,0 +1,316 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from groundstation.domain.events import Event
+from groundstation.domain.geometry import Geodetic, LocalFrame
+from groundstation.domain.inputs import MissionInput, SessionInput, TickInput
+from groundstation.domain.mission import Area, Mission
+from groundstation.domain.radio import CirCapture, CloseReason, LinkWindow
+from groundstation.domain.target import Environment, LinkVerdict, LosSource, TargetState, TargetWaiting
+from groundstation.engine.estimator import Estimator
+from groundstation.engine.estimator_settings import EstimatorSettings
+from groundstation.tracking import TrackingSettings
+
+SECOND = 1_000_000_000
+ORIGIN = Geodetic(-35.3625, 149.1654, 584.0)
+FRAME = LocalFrame(ORIGIN)
+TRUTH = np.array([22.0, -31.0, 4.0])
+QUICK = EstimatorSettings(tracking=TrackingSettings(base_cells=12, maximum_cells=900))
+
+
+class MarkedCaptures:
+    """Judges a capture by its first tap: the answer is written into it."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def classify(self, links: Sequence[Sequence[object]], *, prior: float | None = None) -> list[object]:
+        self.asked += len(links)
+        answers = []
+        for link in links:
+            mark = float(link[-1].magnitude[0])  # type: ignore[attr-defined]
+            if mark < 0:
+                raise ValueError("spoilt")
+            known = mark <= 1.0
+            answers.append(
+                SimpleNamespace(
+                    los_probability=mark if known else prior,
+                    status="classified" if known else "unknown",
+                    reason="" if known else "too short",
+                )
+            )
+        return answers
+
+
+def mission(revision: int = 1, half_m: float = 110.0, **changed: object) -> MissionInput:
+    corners = [(-half_m, -half_m), (half_m, -half_m), (half_m, half_m), (-half_m, half_m), (-half_m, -half_m)]
+    ring = []
+    for east, north in corners:
+        place = FRAME.to_geodetic((east, north, 0.0))
+        ring.append((place.latitude_deg, place.longitude_deg))
+    plain = Mission(revision, ORIGIN, Area(((tuple(ring),),)), ground_amsl_m=584.0, height_reference="home")
+    return MissionInput(replace(plain, **changed), "test")  # type: ignore[arg-type]
+
+
+def window(
+    vehicle: int, second: float, rng: np.random.Generator, beacon: int = 7, mark: float | None = None,
+    **changed: object,
+) -> LinkWindow:  # fmt: skip
+    turn = math.pi / 2 * vehicle + 0.1 * second
+    place = np.array([90.0 * math.cos(turn), 90.0 * math.sin(turn), 50.0])
+    offset = TRUTH - place
+    distance = float(np.linalg.norm(offset))
+    end = int(second * SECOND)
+    captures = ()
+    if mark is not None:
+        captures = (CirCapture(end, 1, np.array([mark, 0.5], dtype=np.float32), 1.0, None, 0),)
+    plain = LinkWindow(
+        vehicle_id=vehicle, beacon_id=beacon, start_ns=end - SECOND, end_ns=end,
+        position=FRAME.to_geodetic(tuple(place)), attitude=(1.0, 0.0, 0.0, 0.0), path_length_m=9.0,
+        rss_dbm=-16.0 - 25.0 * math.log10(distance) + 2.0 * float(rng.standard_normal()),
+        rss_std_error_db=0.5, rss_count=16, noise_dbm=-110.0, frequency_hz=867_500_000, missed_count=0,
+        azimuth_rad=math.atan2(offset[1], offset[0]) + 0.01 * float(rng.standard_normal()),
+        azimuth_std_error_rad=0.005,
+        elevation_rad=math.atan2(offset[2], math.hypot(offset[0], offset[1])),
+        elevation_std_error_rad=0.005, aoa_count=16, captures=captures, sensor_los_probability=None,
+        close_reason=CloseReason.FULL,
+    )  # fmt: skip
+    return replace(plain, **changed)  # type: ignore[arg-type]
+
+
+def play(estimator: Estimator, inputs: list[tuple[int, object]]) -> list[object]:
+    return [output for time_ns, item in inputs for output in estimator.handle(time_ns, item)]  # type: ignore[arg-type]
+
+
+def story(
+    seconds: int, vehicles: int = 4, mark: float | None = None, beacons: tuple[int, ...] = (7,)
+) -> list:
+    rng = np.random.default_rng(3)
+    inputs: list = [(0, mission())]
+    for second in range(1, seconds + 1):
+        for beacon in beacons:
+            for vehicle in range(1, vehicles + 1):
+                heard = window(vehicle, second, rng, beacon, mark)
+                inputs.append((heard.end_ns, heard))
+        inputs.append((second * SECOND + 1, TickInput()))
+    return inputs
+
+
+def error_m(state: TargetState) -> float:
+    east, north, _ = FRAME.to_enu(state.position)
+    return math.hypot(east - TRUTH[0], north - TRUTH[1])
+
+
+def tally(estimator: Estimator) -> dict[str, int]:
+    return {counter.name: counter.value for counter in estimator.counters()}
+
+
+def test_line_of_sight_is_found_with_its_uncertainty() -> None:
+    outputs = play(Estimator(QUICK, MarkedCaptures()), story(12, mark=0.97))
+    states = [output for output in outputs if isinstance(output, TargetState)]
+    last = states[-1]
+    assert error_m(last) < 5.0
+    assert error_m(last) < 2.0 * last.radius_90_m
+    assert last.radius_90_m < 15.0
+    assert (last.environment, last.los_links, last.links, last.windows) == (Environment.LOS, 4, 4, 48)
+    assert last.height_reference == "home"
+    assert [state.sequence for state in states] == list(range(1, len(states) + 1))
+    assert last.snapshot is not None
+    assert last.snapshot.method == "wls-taylor-bounded"
+    assert last.snapshot.vehicle_ids == last.snapshot.los_vehicle_ids == (1, 2, 3, 4)
+    assert any(state.regions for state in states)
+    _, _, up = FRAME.to_enu(last.position)
+    assert 0.0 <= up <= 20.0
+
+
+def test_who_says_line_of_sight() -> None:
+    rng = np.random.default_rng(0)
+    judge = MarkedCaptures()
+    estimator = Estimator(QUICK, judge)
+    cases = [
+        (window(1, 1, rng, mark=0.8), LosSource.CLASSIFIER, 0.8, ""),
+        (window(1, 2, rng, mark=5.0), LosSource.PRIOR, 0.3, "too short"),
+        (window(1, 3, rng, mark=5.0, sensor_los_probability=0.6), LosSource.SENSOR, 0.6, ""),
+        (window(1, 4, rng, sensor_los_probability=0.9), LosSource.SENSOR, 0.9, ""),
+        (window(1, 5, rng), LosSource.PRIOR, 0.3, "no capture"),
+    ]
+    for heard, source, probability, reason in cases:
+        (verdict,) = estimator.handle(heard.end_ns, heard)
+        assert isinstance(verdict, LinkVerdict)
+        assert (verdict.source, verdict.reason) == (source, reason)
+        assert verdict.los_probability == pytest.approx(probability, abs=1e-6)
+    assert judge.asked == 3
+    (verdict,) = Estimator(QUICK, None).handle(0, window(1, 1, rng, mark=0.8))
+    assert (verdict.source, verdict.reason) == (LosSource.PRIOR, "no classifier loaded")
+
+
+def test_a_failing_classifier_costs_one_link() -> None:
+    rng = np.random.default_rng(0)
+    estimator = Estimator(QUICK, MarkedCaptures())
+    event, verdict = estimator.handle(1, window(1, 1, rng, mark=-1.0))
+    assert isinstance(event, Event)
+    assert event.code == "link.classifier_failed"
+    assert verdict.source is LosSource.PRIOR
+    assert tally(estimator)["estimator_classifier_failures_total"] == 1
+
+
+def test_waits_for_an_origin_and_loses_nothing() -> None:
+    rng = np.random.default_rng(0)
+    estimator = Estimator(QUICK, None)
+    play(estimator, [(0, MissionInput(Mission(), "begin"))])
+    play(estimator, [(SECOND, window(1, 1, rng)), (2 * SECOND, window(1, 2, rng))])
+    (waiting,) = estimator.handle(2 * SECOND, TickInput())
+    assert isinstance(waiting, TargetWaiting)
+    assert "origin" in waiting.needed
+    assert waiting.links == 1
+    estimator.handle(3 * SECOND, mission())
+    event, state = estimator.handle(4 * SECOND, TickInput())
+    assert isinstance(event, Event)
+    assert event.code == "target.first_estimate"
+    assert isinstance(state, TargetState)
+    assert state.windows == 2
+    assert tally(estimator)["estimator_windows_taken_total"] == 2
+    assert state.snapshot is None
+
+
+def test_without_an_area_a_disc_round_the_first_place() -> None:
+    rng = np.random.default_rng(0)
+    estimator = Estimator(QUICK, None)
+    play(estimator, [(0, MissionInput(Mission(1, ORIGIN), "begin")), (SECOND, window(1, 1, rng))])
+    (_, state) = estimator.handle(2 * SECOND, TickInput())
+    assert isinstance(state, TargetState)
+    assert 100.0 < state.radius_90_m < 500.0
+    assert state.height_reference == "unknown"
+
+
+def test_empty_windows_wait_in_plain_words() -> None:
+    rng = np.random.default_rng(0)
+    estimator = Estimator(QUICK, None)
+    silent = window(1, 1, rng, rss_dbm=None, azimuth_rad=None, elevation_rad=None)
+    play(estimator, [(0, mission()), (SECOND, silent)])
+    (waiting,) = estimator.handle(2 * SECOND, TickInput())
+    assert isinstance(waiting, TargetWaiting)
+    assert "received power" in waiting.needed
+
+
+def test_windows_without_a_place_are_counted() -> None:
+    rng = np.random.default_rng(0)
+    estimator = Estimator(QUICK, None)
+    estimator.handle(1, window(1, 1, rng, position=Geodetic(0.0, 0.0, 0.0)))
+    assert tally(estimator)["estimator_windows_without_position_total"] == 1
+
+
+def test_snapshot_takes_fresh_windows_only() -> None:
+    estimator = Estimator(QUICK, MarkedCaptures())
+    play(estimator, story(5, mark=0.9))
+    rng = np.random.default_rng(1)
+    late = 5 + QUICK.localization.window_age_s + 1
+    play(estimator, [(int(late * SECOND), window(1, late, rng, mark=0.9))])
+    (state,) = estimator.handle(int(late * SECOND) + 1, TickInput())
+    assert isinstance(state, TargetState)
+    assert (state.links, state.snapshot) == (1, None)
+    long = window(2, late, rng, mark=0.9, path_length_m=QUICK.localization.window_path_m + 1)
+    play(estimator, [(int(late * SECOND) + SECOND, long)])
+    (state,) = estimator.handle(int(late * SECOND) + 2 * SECOND, TickInput())
+    assert state.links == 1
+
+
+def test_all_vehicles_in_one_place_fail_the_snapshot_only() -> None:
+    rng = np.random.default_rng(0)
+    estimator = Estimator(QUICK, None)
+    here = FRAME.to_geodetic((10.0, 10.0, 50.0))
+    play(estimator, [(0, mission())] + [(SECOND, window(v, 1, rng, position=here)) for v in range(1, 5)])
+    state = estimator.handle(2 * SECOND, TickInput())[-1]
+    assert isinstance(state, TargetState)
+    # The posterior alone could answer; Algorithm 1 asks for two places.
+    assert state.snapshot is None or state.snapshot.status == "ok"
+    assert state.radius_90_m > 20.0
+
+
+def test_another_area_moves_the_belief_at_once() -> None:
+    estimator = Estimator(QUICK, None)
+    play(estimator, story(8))
+    (moved,) = estimator.handle(9 * SECOND, mission(2, half_m=15.0))
+    assert isinstance(moved, TargetState)
+    assert moved.radius_90_m < 25.0
+    assert moved.windows == 32
+    # The same ground again: nothing to do.
+    assert estimator.handle(10 * SECOND, mission(3, half_m=15.0)) == []
+
+
+def test_an_impossible_area_is_refused_in_one_line() -> None:
+    estimator = Estimator(QUICK, None)
+    line = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    (event,) = estimator.handle(0, mission(1, search_area=Area(((line,),))))
+    assert isinstance(event, Event)
+    assert event.code == "mission.area_refused"
+
+
+def test_beacons_do_not_mix() -> None:
+    """Several beacons in one run say what each says alone."""
+    together = play(Estimator(QUICK, None), story(4, beacons=(7, 8)))
+    inputs = [(t, i) for t, i in story(4, beacons=(7, 8)) if getattr(i, "beacon_id", 7) == 7]
+    alone = play(Estimator(QUICK, None), inputs)
+    assert [o for o in together if isinstance(o, TargetState) and o.beacon_id == 7] == [
+        o for o in alone if isinstance(o, TargetState)
+    ]
+
+
+def test_bounds_on_beacons_and_pending_windows() -> None:
+    rng = np.random.default_rng(0)
+    estimator = Estimator(replace(QUICK, maximum_beacons=2, maximum_pending=3), None)
+    for beacon in (1, 2, 3):
+        estimator.handle(0, window(1, 1, rng, beacon))
+    for second in range(2, 6):
+        estimator.handle(0, window(1, second, rng, 1))
+    counts = tally(estimator)
+    assert counts["estimator_windows_of_refused_beacons_total"] == 1
+    assert counts["estimator_windows_pending_dropped_total"] == 2
+
+
+def test_restart_continues_bit_for_bit() -> None:
+    inputs = story(9, mark=0.9, beacons=(7, 2**63 + 5))
+    whole = Estimator(QUICK, MarkedCaptures())
+    cut = 2 * len(inputs) // 3 - 3
+    play(whole, inputs[:cut])
+    again = Estimator(QUICK, MarkedCaptures())
+    again.restore(whole.state())
+    assert play(again, inputs[cut:]) == play(whole, inputs[cut:])
+    assert again.counters() == whole.counters()
+    with pytest.raises(Exception, match="version"):
+        again.restore({"version": 99})
+
+
+def test_same_inputs_same_outputs() -> None:
+    first, second = (play(Estimator(QUICK, MarkedCaptures()), story(5, mark=0.6)) for _ in range(2))
+    assert first == second
+
+
+def test_resumed_session_keeps_beliefs_and_drops_snapshots() -> None:
+    estimator = Estimator(QUICK, MarkedCaptures())
+    play(estimator, story(4, mark=0.9))
+    assert estimator.handle(5 * SECOND, SessionInput("resumed", "1")) == []
+    rng = np.random.default_rng(2)
+    play(estimator, [(6 * SECOND, window(1, 6, rng, mark=0.9))])
+    (state,) = estimator.handle(7 * SECOND, TickInput())
+    assert (state.windows, state.links, state.snapshot) == (17, 1, None)
+    assert error_m(state) < 10.0
+
+
+def test_updates_are_spaced() -> None:
+    rng = np.random.default_rng(0)
+    estimator = Estimator(QUICK, None)
+    estimator.handle(0, mission())
+    updates = 0
+    for tenth in range(1, 31):
+        estimator.handle(tenth * SECOND // 10, window(1, tenth / 10, rng))
+        outputs = estimator.handle(tenth * SECOND // 10, TickInput())
+        updates += sum(isinstance(output, TargetState) for output in outputs)
+    assert updates == pytest.approx(3.0 / QUICK.update_interval_s, abs=1)

@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import multivariate_normal
+
+from groundstation.localization.likelihood import (
+    Evidence,
+    ExponentGrid,
+    Observations,
+    angle_log_likelihood,
+    mixture_variance_db2,
+    path_loss_db,
+    whiten,
+)
+from groundstation.localization.problem import SignalModel
+
+MODEL = SignalModel(receiver_offset_std_db=1.5, los_exponent_std=0.2)
+
+
+def flight(count: int, seed: int, parents: int) -> Observations:
+    rng = np.random.default_rng(seed)
+    link = np.arange(count) % 2
+    place = rng.uniform(-60, 60, (count, 3)) + np.array([0, 0, 60])
+    earlier = np.full((count, parents), -1)
+    for row in range(count):
+        mine = [r for r in range(row) if link[r] == link[row]][-parents:]
+        earlier[row, : len(mine)] = mine
+    return Observations(
+        place,
+        link,
+        rng.uniform(-60, -30, count),
+        rng.uniform(0, 1, count),
+        np.full(count, 0.5),
+        np.full(count, np.nan),
+        np.full(count, np.nan),
+        np.full((count, 2), 0.02),
+        np.zeros(count),
+        np.ones(count),
+        earlier,
+    )
+
+
+def dense_log_likelihood(seen: Observations, x: np.ndarray, grid: ExponentGrid) -> float:
+    """The same model as one multivariate normal a node, with its whole covariance."""
+    p = seen.los_probability
+    gap = np.linalg.norm(seen.position_enu_m[:, None] - seen.position_enu_m[None], axis=2)
+    same = seen.link[:, None] == seen.link[None]
+    shadow = np.outer(p, p) * MODEL.rss_std_db**2 + np.outer(1 - p, 1 - p) * MODEL.nlos_rss_std_db**2
+    covariance = shadow * np.exp(-gap / 25.0) * same
+    total = p * MODEL.rss_std_db**2 + (1 - p) * MODEL.nlos_rss_std_db**2
+    own = total - np.diag(shadow) + mixture_variance_db2(p, MODEL) + seen.white_variance_db2
+    covariance += np.diag(own) + MODEL.transmit_power_std_db**2
+    offset = np.sqrt(MODEL.receiver_offset_std_db**2 + (1 - p) * MODEL.nlos_bias_max_db**2 / 12)
+    covariance += np.outer(offset, offset) * same
+    path = path_loss_db(seen.position_enu_m, x[None])[:, 0]
+    terms = []
+    for los, nlos, prior in zip(grid.los, grid.nlos, grid.log_prior, strict=True):
+        mean = MODEL.transmit_power_mean_dbm - (p * los + (1 - p) * nlos) * path
+        mean -= 0.5 * MODEL.nlos_bias_max_db * (1 - p)
+        terms.append(prior + multivariate_normal(mean, covariance).logpdf(seen.rss_dbm))
+    return float(np.logaddexp.reduce(terms))
+
+
+def evidence_of(seen: Observations, candidates: np.ndarray, parts: list[int]) -> Evidence:
+    evidence = Evidence.empty(len(candidates), 2)
+    for first, last in zip([0, *parts], [*parts, seen.count], strict=True):
+        shown = Observations(*(getattr(seen, name)[:last] for name in Observations.__dataclass_fields__))
+        evidence.add(shown, whiten(shown, first, 2, 25.0, MODEL), candidates)
+    return evidence
+
+
+def test_sequential_form_is_the_multivariate_normal() -> None:
+    """With all earlier windows as parents nothing is approximated: differences agree to 1e-8."""
+    seen = flight(9, 3, parents=9)
+    grid = ExponentGrid.of(MODEL)
+    candidates = np.random.default_rng(4).uniform(-80, 80, (6, 3))
+    ours = evidence_of(seen, candidates, [1, 4, 5]).log_likelihood(grid)
+    dense = np.array([dense_log_likelihood(seen, x, grid) for x in candidates])
+    assert np.allclose(ours - ours[0], dense - dense[0], atol=1e-8)
+
+
+def test_few_parents_are_close() -> None:
+    """Along a straight flight at 8 m spacing three parents lose less than 0.1 of log likelihood."""
+    rng = np.random.default_rng(0)
+    count = 30
+    seen = flight(count, 7, parents=3)
+    place = np.stack(
+        [8.0 * (np.arange(count) // 2), 30.0 * (np.arange(count) % 2), np.full(count, 50.0)], axis=1
+    )
+    parts = [getattr(seen, name) for name in Observations.__dataclass_fields__]
+    parts[0], parts[3], parts[4] = place, np.zeros(count), np.full(count, 0.01)
+    parts[2] = -60.0 + 3.0 * rng.standard_normal(count)
+    seen = Observations(*parts)
+    grid = ExponentGrid.of(MODEL)
+    candidates = rng.uniform(-80, 80, (8, 3))
+    ours = evidence_of(seen, candidates, []).log_likelihood(grid)
+    dense = np.array([dense_log_likelihood(seen, x, grid) for x in candidates])
+    assert np.abs((ours - ours[0]) - (dense - dense[0])).max() < 0.1
+
+
+def test_batches_do_not_matter() -> None:
+    seen = flight(12, 5, parents=3)
+    candidates = np.random.default_rng(1).uniform(-80, 80, (5, 3))
+    grid = ExponentGrid.of(MODEL)
+    one = evidence_of(seen, candidates, []).log_likelihood(grid)
+    many = evidence_of(seen, candidates, list(range(1, 12))).log_likelihood(grid)
+    assert np.allclose(one, many, atol=1e-9)
+
+
+def test_second_visit_to_a_place_teaches_little() -> None:
+    """Ten windows from one spot spread less than two from spots far apart."""
+    model = SignalModel()
+    candidates = np.array([[60.0, 0, 5], [-60.0, 0, 5]])
+
+    def gap(places: np.ndarray, rss: np.ndarray) -> float:
+        count = len(rss)
+        parents = np.arange(count)[:, None] - 1
+        none = np.full(count, np.nan)
+        zero = np.zeros(count)
+        seen = Observations(
+            places, np.zeros(count, dtype=int), rss, zero, zero + 0.1, none, none, np.ones((count, 2)),
+            zero, zero, parents,
+        )  # fmt: skip
+        evidence = Evidence.empty(2, 1)
+        evidence.add(seen, whiten(seen, 0, 1, 25.0, model), candidates)
+        both = evidence.log_likelihood(ExponentGrid.of(model))
+        return float(abs(both[0] - both[1]))
+
+    hovering = gap(np.tile([80.0, 0, 50], (10, 1)), np.full(10, -40.0))
+    moving = gap(np.array([[80.0, 0, 50], [-80.0, 0, 50]]), np.array([-40.0, -50.0]))
+    assert hovering < moving
+
+
+def test_angles_wrap_and_tails_are_finite() -> None:
+    model = SignalModel(angle_outlier_probability=0.01)
+    seen = Observations(
+        np.array([[0.0, 0, 50]]), np.zeros(1, dtype=int), np.array([np.nan]), np.ones(1), np.ones(1),
+        np.array([np.pi - 1e-3]), np.array([-0.5]), np.full((1, 2), 0.02), np.ones(1), np.ones(1),
+        np.full((1, 1), -1),
+    )  # fmt: skip
+    reach = 50 / np.tan(0.5)
+    spots = reach * np.array([[-1.0, 1e-3, 0], [-1.0, -1e-3, 0], [1.0, 0, 0], [0, 1.0, 0]])
+    value = angle_log_likelihood(seen, 0, spots, np.full((4, 2), 1e-3), model)
+    assert abs(value[0] - value[1]) < 0.1
+    assert value[0] - value[2] > 5
+    assert np.isclose(value[2], value[3])
+    assert np.isfinite(value).all()

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from groundstation.localization.mesh import MeshSettings, masses, refine
+from groundstation.localization.problem import SearchArea
+from groundstation.tracking.containment import containment, raster, region_rings
+
+AREA = SearchArea(np.zeros(2), 100.0, 0.0, 20.0)
+
+
+def gaussian(std: float, *centers: tuple[float, float]):
+    def evaluate(mesh: object) -> np.ndarray:
+        spread = std**2 + mesh.half_m[:, 0] ** 2 / 3
+        parts = [
+            -0.5 * np.square(mesh.center_enu_m[:, :2] - np.array(center)).sum(axis=1) / spread
+            for center in centers
+        ]
+        return np.logaddexp.reduce(parts, axis=0) - np.log(spread)
+
+    mesh, value = refine(AREA, evaluate, MeshSettings(split_mass=0.002, maximum_cells=4000))
+    return mesh, masses(value, mesh)
+
+
+@pytest.mark.parametrize("std", [2.0, 12.0])
+def test_radius_of_a_gaussian(std: float) -> None:
+    """R₉₀ = σ √(−2 ln 0.1) = 2.146 σ, to 8 %, and not below."""
+    said = containment(*gaussian(std, (10.0, -20.0)))
+    assert 0.99 < said.radius_90_m / (2.146 * std) < 1.08
+    assert np.allclose(said.position_enu_m, [10, -20, 10], atol=0.3)
+
+
+def even_odd_area(rings: tuple) -> tuple[float, object]:
+    shape = shapely.Polygon()
+    for ring in rings:
+        shape = shape.symmetric_difference(shapely.Polygon(ring))
+    return shape.area, shape
+
+
+def test_regions_are_nested_and_hold_their_share() -> None:
+    std = 10.0
+    mesh, mass = gaussian(std, (0.0, 30.0))
+    rng = np.random.default_rng(0)
+    points = np.array([0.0, 30.0]) + std * rng.standard_normal((20000, 2))
+    shapes = []
+    for share, rings in region_rings(mesh, mass):
+        area, shape = even_odd_area(rings)
+        held = shapely.contains_xy(shape, points[:, 0], points[:, 1]).mean()
+        assert abs(held - share) < 0.05
+        assert area == pytest.approx(-2 * np.log(1 - share) * np.pi * std**2, rel=0.2)
+        assert all(ring[0] == ring[-1] for ring in rings)
+        shapes.append(shape)
+    assert shapes[1].buffer(2.0).contains(shapes[0])
+    assert shapes[2].buffer(2.0).contains(shapes[1])
+
+
+def test_two_modes_are_two_rings() -> None:
+    rings = dict(region_rings(*gaussian(6.0, (-50.0, 0.0), (50.0, 0.0))))[0.5]
+    assert len(rings) == 2
+
+
+def test_raster_keeps_the_mass() -> None:
+    mesh, mass = gaussian(10.0, (0.0, 0.0))
+    picture = raster(mesh, mass)
+    assert 0.998 < picture.mass.sum() <= 1.0 + 1e-12
+    columns = picture.west_m + (np.arange(picture.mass.shape[1]) + 0.5) * picture.cell_m
+    assert abs(picture.mass.sum(axis=0) @ columns) < 0.5
