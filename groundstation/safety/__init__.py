@@ -1,0 +1,1 @@
+"""Gate (plans), grants (authority) and guard (last before any radio). Pure: no clock, no input or output."""
