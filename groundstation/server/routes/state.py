@@ -1,0 +1,132 @@
+"""GET routes: what the picture knows, and the beacon's search map."""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from groundstation.server import rest, rows
+from groundstation.server.problems import ProblemError
+from groundstation.server.routes.common import BeaconPath, HubDep, SourcesDep, problems
+from groundstation.server.wire import SCHEMA_VERSION, RegionsRow, TargetRow
+
+router = APIRouter(prefix="/api/v1", tags=["state"])
+
+
+@router.get("/targets")
+async def targets(hub: HubDep) -> rest.Targets:
+    """All beacons that are heard."""
+    return rest.Targets(
+        schema_version=SCHEMA_VERSION,
+        server_time_ns=str(hub.clock()),
+        targets=hub.picture.target_rows(),
+    )
+
+
+def _target(hub: HubDep, beacon_id: str) -> TargetRow:
+    row = hub.picture.targets.row(int(beacon_id))
+    if row is None:
+        raise ProblemError(
+            HTTPStatus.NOT_FOUND, "unknown-beacon", f"beacon {beacon_id} was never heard in this session"
+        )
+    return row
+
+
+@router.get("/targets/{beacon_id}", responses=problems(404, 422))
+async def target(hub: HubDep, beacon_id: BeaconPath) -> TargetRow:
+    """One beacon."""
+    return _target(hub, beacon_id)
+
+
+@router.get("/targets/{beacon_id}/search-map", responses=problems(404, 422))
+async def search_map(hub: HubDep, sources: SourcesDep, beacon_id: BeaconPath) -> rest.SearchMap:
+    """Where the beacon could be, as a raster, if the tracker keeps one."""
+    row = _target(hub, beacon_id)
+    raster = sources.search_map(int(beacon_id)) if sources.search_map else None
+    if raster is None:
+        why = row.needed if row.state == "waiting" else "its tracker keeps no raster, see its radius_90_m"
+        raise ProblemError(
+            HTTPStatus.NOT_FOUND, "no-search-map", f"there is no search map of beacon {beacon_id}: {why}"
+        )
+    return raster
+
+
+@router.get("/targets/{beacon_id}/regions", responses=problems(404, 422))
+async def regions(hub: HubDep, beacon_id: BeaconPath) -> RegionsRow:
+    """Where one beacon could be: nested areas that hold 50, 90 and 95 % of the belief."""
+    row = _target(hub, beacon_id)
+    found = hub.picture.regions.row(int(beacon_id))
+    if found is None:
+        why = row.needed if row.state == "waiting" else "its tracker drew none, see its radius_90_m"
+        raise ProblemError(
+            HTTPStatus.NOT_FOUND, "no-regions", f"there are no regions of beacon {beacon_id}: {why}"
+        )
+    return found
+
+
+@router.get("/links")
+async def links(hub: HubDep) -> rest.Links:
+    """All radio links: one vehicle hearing one beacon each."""
+    return rest.Links(
+        schema_version=SCHEMA_VERSION, server_time_ns=str(hub.clock()), links=hub.picture.link_rows()
+    )
+
+
+@router.get("/vehicles")
+async def vehicles(hub: HubDep) -> rest.Vehicles:
+    """All vehicles."""
+    return rest.Vehicles(
+        schema_version=SCHEMA_VERSION,
+        server_time_ns=str(hub.clock()),
+        vehicles=hub.picture.vehicle_rows(),
+    )
+
+
+@router.get("/proposals")
+async def proposals(hub: HubDep) -> rest.Proposals:
+    """Proposals that can be confirmed."""
+    return rest.Proposals(
+        schema_version=SCHEMA_VERSION,
+        server_time_ns=str(hub.clock()),
+        proposals=sorted(hub.picture.proposals.rows(), key=lambda row: int(row.created_ns)),
+    )
+
+
+@router.get("/commands")
+async def commands(hub: HubDep) -> rest.Commands:
+    """Commands of this run and how far they are."""
+    return rest.Commands(
+        schema_version=SCHEMA_VERSION,
+        server_time_ns=str(hub.clock()),
+        commands=sorted(hub.picture.commands.rows(), key=lambda row: int(row.time_ns)),
+    )
+
+
+@router.get("/events", responses=problems(422))
+async def events(
+    hub: HubDep,
+    sources: SourcesDep,
+    limit: Annotated[int, Query(ge=1, le=2000, description="How many at most.")] = 200,
+    before_ns: Annotated[
+        str | None, Query(pattern=r"^[0-9]{1,19}$", description="Only events before this station time, ns.")
+    ] = None,
+) -> rest.Events:
+    """Events, oldest first: the newest before a time, from memory and then from the database."""
+    before = None if before_ns is None else int(before_ns)
+    found = [row for row in hub.picture.events if before is None or int(row.time_ns) < before][-limit:]
+    missing = limit - len(found)
+    if missing > 0 and sources.older_events is not None:
+        oldest = int(found[0].time_ns) if found else (before if before is not None else hub.clock())
+        older = await sources.older_events(oldest, missing)
+        found = [*(rows.event_row(event, 0) for event in older), *found]
+    return rest.Events(schema_version=SCHEMA_VERSION, server_time_ns=str(hub.clock()), events=found)
+
+
+@router.get("/mission")
+async def mission(hub: HubDep) -> rest.MissionAnswer:
+    """Search area, fence and limits."""
+    return rest.MissionAnswer(
+        schema_version=SCHEMA_VERSION, server_time_ns=str(hub.clock()), mission=hub.picture.mission_row()
+    )
