@@ -72,7 +72,7 @@ $(VENV)/.dev: pyproject.toml constraints.txt hatch_build.py groundstation/mavlin
 
 web/node_modules/.installed: web/package-lock.json
 	@command -v npm >/dev/null || { echo "Node.js >= 20 with npm is needed to build the page (https://nodejs.org)"; exit 1; }
-	@node -e 'process.exit(+process.versions.node.split(".")[0] < 20)' || \
+	@node -e 'process.exit(+process.versions.node.split(".")[0] < 20 ? 1 : 0)' || \
 	  { echo "Node.js >= 20 is needed, $$(node --version) was found"; exit 1; }
 	cd web && npm ci --no-audit --no-fund --silent
 	@touch $@

@@ -122,6 +122,12 @@ def swarm(
     link_state: LinkStateOption = False,
     tunnel: TunnelOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress lines.")] = False,
+    end_with_stdin: Annotated[
+        bool,
+        typer.Option(
+            "--end-with-stdin", help="End when standard input closes: for programs that start this one."
+        ),
+    ] = False,
 ) -> None:
     """Fly a simulated swarm, or attach the simulated sensor to real autopilots."""
     from sim_sitl.attach import AttachOptions, run_attached
@@ -152,6 +158,7 @@ def swarm(
     run_swarm(
         SwarmOptions(world, target, vehicles, beacons, seed, speedup, duration, truth, quality, settings),
         report,
+        end_with_stdin=end_with_stdin,
     )
 
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import signal
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -114,15 +116,36 @@ class Swarm:
             self._up[vehicle].offer(self.simulation.time_s, frame.raw)
 
 
-def run_swarm(options: SwarmOptions, report: Callable[[str], None] | None) -> None:
-    """``sim-sitl swarm``: blocks until the end, or until SIGINT or SIGTERM."""
+def run_swarm(
+    options: SwarmOptions, report: Callable[[str], None] | None, *, end_with_stdin: bool = False
+) -> None:
+    """``sim-sitl swarm``: blocks until the end, or until SIGINT or SIGTERM.
+
+    ``end_with_stdin``: also when standard input closes, as it does when the program that
+    started this one is gone, however it went.
+    """
 
     async def main() -> None:
         swarm = Swarm(options, report)
         stop_on_signals(swarm.stop)
+        if end_with_stdin:
+            stop_at_end_of_stdin(swarm.stop)
         await swarm.run()
 
     asyncio.run(main())
+
+
+def stop_at_end_of_stdin(stop: Callable[[], None]) -> None:
+    """Calls ``stop`` once standard input is at its end."""
+    loop = asyncio.get_running_loop()
+    stdin = sys.stdin.fileno()
+
+    def read() -> None:
+        if not os.read(stdin, 4096):
+            loop.remove_reader(stdin)
+            stop()
+
+    loop.add_reader(stdin, read)
 
 
 def stop_on_signals(stop: Callable[[], None]) -> None:

@@ -17,6 +17,8 @@ class CommandSettings:
     """Wait for an acknowledgement before a reposition is sent again, seconds."""
     attempts: int = 3
     """How often a reposition is sent at most."""
+    use_mavsdk: bool = False
+    """Whether repositions leave through MAVSDK instead of our own protocol; holds never do."""
     progress_timeout_s: float = 10.0
     """Wait for the final answer after ``in progress``, seconds."""
     verify_timeout_s: float = 5.0

@@ -40,6 +40,7 @@ class VehicleNotices:
     def __init__(self, settings: MeasurementSettings, vehicle_id: int, now_ns: int) -> None:
         self.vehicle_id = vehicle_id
         self._no_position_ns = round(settings.no_position_s * 1e9)
+        self._settle_ns = round(settings.settle_s * 1e9)
         self._captures_every_ns = round(settings.cir_report_s * 1e9)
         self.captures_ns = now_ns
         self.dropped = 0
@@ -88,7 +89,8 @@ class VehicleNotices:
             self.dropped += samples.unplaced
             self.dropped_ns = now_ns
             samples.unplaced = 0
-            if self.drop_told:
+            # A vehicle just found has not been asked for its pose yet: counted, no news.
+            if self.drop_told or now_ns - self.since_ns < self._settle_ns:
                 return None
             self.drop_told = True
             why = picture.missing() if self.position_ns is None else "no pose covers their time"

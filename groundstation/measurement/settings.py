@@ -66,6 +66,9 @@ class MeasurementSettings:
     """Systems followed; more are counted and ignored (MAVLink has 255 ids)."""
     vehicle_lost_s: float = 5.0
     """Silence of a vehicle's heartbeat that makes it lost, seconds."""
+    settle_s: float = 5.0
+    """Samples of a vehicle that was found less long ago and sends no pose yet are dropped without a word
+    (and counted), seconds."""
     no_position_s: float = 10.0
     """A vehicle without a position for this long is told to the operator, seconds."""
     state_interval_s: float = 0.2

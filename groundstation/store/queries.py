@@ -86,6 +86,14 @@ class Queries:
         )
         return [_event(row) for row in self._ask(sql, (before_id or 2**62, _bounded(limit)))]
 
+    def events_before(self, time_ns: int, limit: int = 200) -> list[Event]:
+        """The newest events before station time ``time_ns``, oldest first."""
+        sql = (
+            "SELECT id, time_ns, code, severity, text, vehicle_id, beacon_id FROM events "
+            "WHERE time_ns < ? ORDER BY id DESC LIMIT ?"
+        )
+        return [_event(row).event for row in reversed(self._ask(sql, (time_ns, _bounded(limit))))]
+
     def target_history(
         self, beacon_id: int, since_ns: int = 0, until_ns: int = 2**62, limit: int = 1000
     ) -> list[TargetPoint]:

@@ -59,7 +59,7 @@ def test_drops_that_flicker_are_one_notice(notices, samples):
         if told:
             codes.append((told.code, tick))
             text = told.text
-    assert codes == [("vehicle.samples_dropped", 0), ("vehicle.samples_resumed", 140)]
+    assert codes == [("vehicle.samples_dropped", 50), ("vehicle.samples_resumed", 140)]
     assert text.endswith("20 were dropped")
 
 

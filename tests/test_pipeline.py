@@ -1,0 +1,75 @@
+"""Rules of the composition that need no radio."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from groundstation.command.desk import CommandDesk
+from groundstation.domain.geometry import Geodetic
+from groundstation.domain.inputs import DropInput, MissionInput, Record, SessionInput, TickInput
+from groundstation.domain.mission import Mission
+from groundstation.domain.vehicle import Autopilot, VehicleState
+from groundstation.engine.ingest import Ingest
+from groundstation.mission_files import disc_area
+from groundstation.pipeline import Pipeline, dropped_windows, mission_with_origin
+
+HOME = Geodetic(-35.3625, 149.1654, 584.0)
+
+
+def vehicle(**changes: object) -> VehicleState:
+    plain = VehicleState(
+        vehicle_id=1, time_ns=0, connections=("a",), autopilot=Autopilot.ARDUPILOT, mode="GUIDED", armed=True,
+        ready=True, lost=False, last_heartbeat_ns=0, position=None, position_time_ns=None,
+        height_above_home_m=None, home=None, attitude=None, velocity_ned_m_s=None, battery_percent=None,
+        battery_voltage_v=None, gps_fix_type=None, satellites=None, position_target=None,
+        sensor_heard_ns=None, packet_loss_percent=None, clock_offset_known=False,
+    )  # fmt: skip
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+def test_the_first_valid_home_is_the_origin_and_the_ground() -> None:
+    mission = mission_with_origin(Mission(revision=3), vehicle(home=HOME))
+    assert mission is not None
+    assert (mission.revision, mission.origin, mission.ground_amsl_m) == (4, HOME, 584.0)
+    assert mission.height_reference == "home"
+    assert mission_with_origin(mission, vehicle(home=replace(HOME, latitude_deg=-35.0))) is None
+
+
+def test_without_a_home_the_first_position_less_its_height_serves() -> None:
+    flying = replace(HOME, altitude_amsl_m=634.0)
+    assert mission_with_origin(Mission(), vehicle()) is None
+    assert mission_with_origin(Mission(), vehicle(position=flying)) is None
+    mission = mission_with_origin(Mission(), vehicle(position=flying, height_above_home_m=50.0))
+    assert mission is not None
+    assert mission.origin == HOME
+
+
+def test_a_ground_from_the_settings_is_kept() -> None:
+    given = Mission(ground_amsl_m=570.0, height_reference="settings")
+    mission = mission_with_origin(given, vehicle(home=HOME))
+    assert mission is not None
+    assert (mission.ground_amsl_m, mission.height_reference) == (570.0, "settings")
+
+
+def test_a_recording_without_an_area_gets_a_disc_round_the_first_place() -> None:
+    mission = mission_with_origin(Mission(), vehicle(home=HOME), lambda place: disc_area(place, 500.0))
+    assert mission is not None
+    assert mission.search_area is not None
+    assert mission_with_origin(mission, vehicle(home=HOME), lambda place: disc_area(place, 500.0)) is None
+
+
+def test_missions_ticks_and_session_events_reach_the_estimator_in_order() -> None:
+    pipeline = Pipeline(Ingest(), CommandDesk(replay=True))
+    inputs = [SessionInput("began", "0"), MissionInput(Mission(1, HOME), "test"), TickInput()]
+    steps = [pipeline.handle(Record(seq, seq, 0, entry)) for seq, entry in enumerate(inputs)]
+    assert [[work.item for work in step.work] for step in steps] == [[entry] for entry in inputs]
+    assert pipeline.mission.origin == HOME
+
+
+def test_dropped_windows_are_gathered_from_the_whole_journal() -> None:
+    records = [
+        Record(0, 0, 0, DropInput("estimator", ((1, 7, 10), (2, 7, 11)))),
+        Record(1, 1, 0, TickInput()),
+        Record(2, 2, 0, DropInput("estimator", ((1, 7, 30),))),
+    ]
+    assert dropped_windows(records) == {(1, 7, 10), (2, 7, 11), (1, 7, 30)}
