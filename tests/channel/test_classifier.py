@@ -165,3 +165,12 @@ def test_incompatible_metadata_is_refused(tmp_path: Path, key: str, value: float
     path.write_text(json.dumps(tree))
     with pytest.raises(InputError, match=reason):
         load_classifier(tmp_path / "model")
+
+
+def test_the_shipped_model_names_no_file_of_the_machine_that_trained_it() -> None:
+    """Exporters note the source of each node; that is nobody's business, and changes the bytes."""
+    from groundstation.channel.classifier import MODEL_FILE, WEIGHTS_DIR
+
+    data = (WEIGHTS_DIR / MODEL_FILE).read_bytes()
+    assert b".py" not in data
+    assert b"site-packages" not in data
