@@ -17,9 +17,12 @@ class EstimatorSettings:
     tracking: TrackingSettings = field(default_factory=TrackingSettings)
     """The belief."""
     prior_los_probability: float = 0.3
-    """P(line of sight) of a link that nobody classified."""
+    """P(line of sight) that is told of a link that nobody could judge; given to the classifier,
+    so that there is one prior. The belief learns the share of such links from their bearings."""
     update_interval_s: float = 0.5
     """A beacon's belief is updated at most this often, with all windows since, seconds."""
+    updates_per_tick: int = 5
+    """Beacons updated on one tick, those that waited longest first: bounds the load of many beacons."""
     snapshot_interval_s: float = 2.0
     """Algorithm 1 runs at most this often a beacon, seconds."""
     regions_interval_s: float = 2.0

@@ -8,7 +8,7 @@ Algorithm 1 (two or more LOS links: LOS; one: mixed; none: NLOS) with the solver
 
 from __future__ import annotations
 
-import time
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -74,7 +74,7 @@ def _estimate(
 ) -> Estimate:  # fmt: skip
     return Estimate(
         position, covariance, environment_of(links, model), method, power, exponent, cost,
-        iterations, status, 0.0,
+        iterations, status, math.nan,
     )  # fmt: skip
 
 
@@ -211,22 +211,23 @@ def locate(
     method: str = "adaptive",
     model: SignalModel | None = None,
     choice: Choice | None = None,
-    clock: Callable[[], float] = time.perf_counter,
+    clock: Callable[[], float] | None = None,
 ) -> Estimate:
     """Where the beacon is, from one snapshot of K links.
 
     ``method``: one of ``METHODS``; ``choice``: what ``adaptive`` applies where. ``clock``
-    times the solve for ``solve_time_s`` and enters nothing else. Raises InputError with what
+    (seconds, ``time.perf_counter`` for one) times the solve for ``solve_time_s``, which is NaN
+    without it, and enters nothing else. Raises InputError with what
     was seen and what is needed: too few links, positions that are not finite, all vehicles
     in one place, an unknown method.
     """
     model = SignalModel() if model is None else model
-    began = clock()
+    began = math.nan if clock is None else clock()
     if method == "adaptive":
         estimate = _adaptive(links, area, model, Choice() if choice is None else choice)
     else:
         estimate = _solver(method)(links, area, model)
-    return replace(estimate, solve_time_s=clock() - began)
+    return replace(estimate, solve_time_s=math.nan if clock is None else clock() - began)
 
 
 def locate_batch(
@@ -235,7 +236,7 @@ def locate_batch(
     method: str = "adaptive",
     model: SignalModel | None = None,
     choice: Choice | None = None,
-    clock: Callable[[], float] = time.perf_counter,
+    clock: Callable[[], float] | None = None,
 ) -> list[Estimate]:
     """``locate`` for N problems with a leading axis; WLS-Taylor solves all of one link count at once.
 
@@ -253,7 +254,7 @@ def locate_batch(
 
 
 def _wls_batch(
-    links: Links, area: SearchArea, method: str, model: SignalModel, clock: Callable[[], float]
+    links: Links, area: SearchArea, method: str, model: SignalModel, clock: Callable[[], float] | None
 ) -> list[Estimate]:
     bounded = method == "wls-taylor-bounded"
     used = links.los(model.los_threshold) & links.has_angle()
@@ -263,7 +264,7 @@ def _wls_batch(
         raise InputError(f"{method}: problem {row} has {counts[row]} LOS link(s) with angles; two are needed")
     if not (np.isfinite(links.position_enu_m).all() and np.isfinite(links.rss_dbm).all()):
         raise InputError(f"{method}: a vehicle position or a received power is not finite")
-    began = clock()
+    began = math.nan if clock is None else clock()
     size = counts.size
     position = np.zeros((size, 3))
     covariance = np.zeros((size, 3, 3))
@@ -297,7 +298,7 @@ def _wls_batch(
     residual = links.rss_dbm - model.receiver_offset_db - power[:, None] + 10.0 * exponent * np.log10(gap)
     cost = np.square(residual).sum(axis=1)
     labels = los.sum(axis=1)
-    share = (clock() - began) / size
+    share = math.nan if clock is None else (clock() - began) / size
     return [
         Estimate(
             position[i], covariance[i],

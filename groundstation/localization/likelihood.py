@@ -11,17 +11,21 @@ Model of observation i on link v at place a_i, for a target at x, L_i = log₁�
   states enters by its first two moments (two Gaussians a few dB apart and 5 dB wide are
   almost one Gaussian); P_t ~ U and b ~ U(0, b_max) too (eq. (8)).
 * P_t is shared by all links; b and the receiver's offset o_v are constant along a link.
-* n_i is shadowing: a Gaussian field in space, own to each vehicle, correlation
-  exp(−Δ/d_corr) (Gudmundson, 1991). Each observation is conditioned on the few earlier ones
-  of its vehicle that it resembles most (Vecchia, 1988), wherever along the flight they lie:
-  passing twice over the same ground teaches little, and this model knows.
+* n_i is shadowing: a Gaussian field in space, correlation exp(−Δ/d_corr) (Gudmundson, 1991),
+  of which a share is common to all vehicles: what stands in the way stands there for each of
+  them. Every observation is conditioned on the few earlier ones that it resembles most
+  (Vecchia, 1988), wherever along the flights they lie: passing twice over the same ground,
+  with the same vehicle or another, teaches little, and this model knows.
 * e_i is white: measurement noise and what the mixture adds.
 
 None of the covariances depends on x, so one whitening serves all candidates. What remains
 is a linear regression at each candidate: power and offsets are integrated in closed form
 from running sums, the two exponents (shared by all links of their kind) over a small grid.
 
-Angles: a Gaussian in azimuth and elevation, a share of outliers and 1 − p_i spread evenly.
+Angles: with π the share of the beacon's links that are line of sight and p_i what the
+classifier says against even odds, π p_i N(azimuth, elevation) + (1 − π)(1 − p_i) spread evenly.
+π itself is marginalised over a few nodes at each place, so that one bearing which agrees with
+nothing else cannot claim what many agreeing ones would deserve.
 """
 
 from __future__ import annotations
@@ -37,6 +41,8 @@ from groundstation.localization.problem import FloatArray, SignalModel
 
 _MINIMUM_DISTANCE_M = 1.0
 _MIXTURE_LOG_DISTANCE = 1.9
+_FEW_ROWS = 64
+"""Up to here, setting up a sparse matrix costs more than it saves."""
 _ANYWHERE = 1.0 / (2.0 * math.pi * math.pi)
 
 
@@ -52,14 +58,14 @@ class ExponentGrid:
     """(Q,) log prior mass, sums to one."""
 
     @classmethod
-    def of(cls, model: SignalModel, nlos_nodes: int = 9, los_nodes: int = 5) -> ExponentGrid:
+    def of(cls, model: SignalModel, nlos_nodes: int = 9) -> ExponentGrid:
         """β_NLOS uniform between its limits; β_LOS Gaussian (one node when it is certain)."""
         width = (model.nlos_exponent_max - model.nlos_exponent_min) / nlos_nodes
         nlos = model.nlos_exponent_min + width * (np.arange(nlos_nodes) + 0.5)
         if model.los_exponent_std > 0.0:
-            steps = np.linspace(-2.0, 2.0, los_nodes)
-            los = model.los_exponent + model.los_exponent_std * steps
-            weight = np.exp(-0.5 * steps**2)
+            # Gauss–Hermite with three nodes.
+            los = model.los_exponent + model.los_exponent_std * math.sqrt(3.0) * np.array([-1.0, 0.0, 1.0])
+            weight = np.array([1.0, 4.0, 1.0])
         else:
             los, weight = np.array([model.los_exponent]), np.ones(1)
         grid_los, grid_nlos = np.meshgrid(los, nlos, indexing="ij")
@@ -69,7 +75,7 @@ class ExponentGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
-    """n link observations in order of arrival; row i's parents are earlier rows of its link."""
+    """n link observations in order of arrival; row i's parents are earlier rows, of any link."""
 
     position_enu_m: FloatArray
     """(n, 3) where the vehicle was, metres."""
@@ -135,7 +141,8 @@ def _shadowing_covariance(
     gap = np.linalg.norm(observations.position_enu_m[a] - observations.position_enu_m[b], axis=-1)
     p, q = observations.los_probability[a], observations.los_probability[b]
     both = p * q * model.rss_std_db**2 + (1.0 - p) * (1.0 - q) * model.nlos_rss_std_db**2
-    result: FloatArray = both * np.exp(-gap / correlation_m)
+    alike = np.where(observations.link[a] == observations.link[b], 1.0, model.shared_shadowing)
+    result: FloatArray = both * alike * np.exp(-gap / correlation_m)
     return result
 
 
@@ -178,7 +185,8 @@ def whiten(
     offset_std = np.sqrt(model.receiver_offset_std_db**2 + (1.0 - p) * model.nlos_bias_max_db**2 / 12.0)
     loading = np.zeros((rows.size, 1 + links))
     loading[:, 0] = model.transmit_power_std_db * mixing.sum(axis=1)
-    loading[np.arange(rows.size), 1 + observations.link[rows]] = (mixing * offset_std[family]).sum(axis=1)
+    own_row = np.repeat(np.arange(rows.size)[:, None], family.shape[1], axis=1)
+    np.add.at(loading, (own_row, 1 + observations.link[family]), mixing * offset_std[family])
     level = (mixing * base[family]).sum(axis=1)
     return Whitened(rows, mixing, level, loading, scale)
 
@@ -199,13 +207,13 @@ class Evidence:
     loading_path: FloatArray
     """(2, 1 + V, C)."""
     angle_log: FloatArray
-    """(C,) log likelihood of the angles."""
+    """(N, C) log likelihood of the angles for each node of π, the share of LOS links."""
     count: int = 0
     """Rows taken in."""
 
     @classmethod
-    def empty(cls, candidates: int, links: int) -> Evidence:
-        """No evidence at ``candidates`` places from ``links`` links."""
+    def empty(cls, candidates: int, links: int, shares: int = 1) -> Evidence:
+        """No evidence at ``candidates`` places from ``links`` links, for ``shares`` nodes of π."""
         return cls(
             0.0,
             np.zeros(1 + links),
@@ -213,7 +221,27 @@ class Evidence:
             np.zeros((2, candidates)),
             np.zeros((3, candidates)),
             np.zeros((2, 1 + links, candidates)),
-            np.zeros(candidates),
+            np.zeros((shares, candidates)),
+        )
+
+    @classmethod
+    def gathered(cls, parts: list[Evidence], place: Any) -> Evidence:
+        """The same rows' evidence at candidates of several parts: ``place`` (C,) counts through them."""
+
+        def joined(arrays: list[FloatArray]) -> FloatArray:
+            result: FloatArray = np.concatenate(arrays, axis=-1)[..., place]
+            return result
+
+        first = parts[0]
+        return cls(
+            first.level_level,
+            first.level_loading,
+            first.loading_loading,
+            joined([part.level_path for part in parts]),
+            joined([part.path_path for part in parts]),
+            joined([part.loading_path for part in parts]),
+            joined([part.angle_log for part in parts]),
+            first.count,
         )
 
     def grow(self, links: int) -> None:
@@ -226,7 +254,7 @@ class Evidence:
         wider = np.eye(size + more)
         wider[:size, :size] = self.loading_loading
         self.loading_loading = wider
-        pad = np.zeros((2, more, self.angle_log.size))
+        pad = np.zeros((2, more, self.angle_log.shape[1]))
         self.loading_path = np.concatenate([self.loading_path, pad], axis=1)
 
     def add(self, observations: Observations, rows: Whitened, candidates: FloatArray) -> None:
@@ -265,22 +293,27 @@ class Evidence:
         def mix(share: FloatArray) -> FloatArray:
             if not share.any():
                 return np.zeros((shape[0], path.shape[1]))
-            weights = (rows.mixing * share[where]).ravel()
+            weights = rows.mixing * share[where]
+            if rows.rows.size <= _FEW_ROWS:
+                mixed = weights[:, :1] * path[where[:, 0]]
+                for member in range(1, weights.shape[1]):
+                    mixed += weights[:, member, None] * path[where[:, member]]
+                return mixed
             # Few entries a row: a sparse product costs a hundredth of the dense one.
-            sparse = scipy.sparse.csr_array((weights, (index, where.ravel())), shape=shape)
+            sparse = scipy.sparse.csr_array((weights.ravel(), (index, where.ravel())), shape=shape)
             return np.asarray(sparse @ path, dtype=np.float64)
 
         return mix(p), mix(1.0 - p)
 
-    def _reduced(self) -> tuple[float, FloatArray, FloatArray]:
-        """The quadratic form's terms with power and offsets integrated out."""
+    def _reduced(self, cells: Any = slice(None)) -> tuple[float, FloatArray, FloatArray]:
+        """The quadratic form's terms at ``cells`` with power and offsets integrated out."""
         factor = np.linalg.cholesky(self.loading_loading)
         inverse = np.linalg.inv(factor)
         level = inverse @ self.level_loading
-        los = inverse @ self.loading_path[0]
-        nlos = inverse @ self.loading_path[1]
-        cross = self.level_path - np.stack([level @ los, level @ nlos])
-        square = self.path_path - np.stack(
+        los = inverse @ self.loading_path[0][:, cells]
+        nlos = inverse @ self.loading_path[1][:, cells]
+        cross = self.level_path[:, cells] - np.stack([level @ los, level @ nlos])
+        square = self.path_path[:, cells] - np.stack(
             [
                 np.einsum("vc,vc->c", los, los),
                 np.einsum("vc,vc->c", los, nlos),
@@ -307,12 +340,15 @@ class Evidence:
             score = exponents.log_prior[:, None] - weight * np.log1p(np.maximum(form, 0.0) / noise_degrees)
         top = score.max(axis=0)
         power: FloatArray = top + np.log(np.exp(score - top).sum(axis=0))
-        return power + self.angle_log
+        # The nodes of π are equally likely.
+        best = self.angle_log.max(axis=0)
+        angles: FloatArray = best + np.log(np.exp(self.angle_log - best).mean(axis=0))
+        return power + angles
 
     def exponents_at(self, candidate: int, exponents: ExponentGrid) -> tuple[FloatArray, float, float]:
         """Posterior (Q,) over the grid's nodes at one candidate, and its mean β_LOS and β_NLOS."""
-        constant, cross, square = self._reduced()
-        c, s = cross[:, candidate], square[:, candidate]
+        constant, cross, square = self._reduced(slice(candidate, candidate + 1))
+        c, s = cross[:, 0], square[:, 0]
         form = constant + 2.0 * (exponents.los * c[0] + exponents.nlos * c[1])
         form += exponents.los**2 * s[0] + 2.0 * exponents.los * exponents.nlos * s[1]
         form += exponents.nlos**2 * s[2]
@@ -350,30 +386,51 @@ def angle_log_likelihood(
     half_m: FloatArray,
     model: SignalModel,
 ) -> FloatArray:
-    """(C,) summed log likelihood of the angles of rows from ``first`` on.
+    """(N, C) summed log likelihood of the angles of rows from ``first`` on, for each ``model.los_shares``.
 
     ``half_m`` (C, 2): half the width and height of the cell that each candidate stands for;
     the angle's spread over the cell is added to its variance, so that a coarse cell is not
     thrown away because its centre lies beside a narrow ray.
     """
-    total = np.zeros(candidates.shape[0])
+    shares = np.array(model.los_shares)[:, None]
+    total = np.zeros((shares.size, candidates.shape[0]))
     for row in range(first, observations.count):
-        p = observations.angle_probability[row] * (1.0 - model.angle_outlier_probability)
+        p = observations.angle_probability[row]
         azimuth, elevation = observations.azimuth_rad[row], observations.elevation_rad[row]
         if not (math.isfinite(azimuth) and math.isfinite(elevation)) or p <= 0.0:
             continue
+        weight = observations.angle_weight[row]
+        right = 2.0 * p * shares
+        trusted = right * (1.0 - model.angle_outlier_probability)
+        stray = (right - trusted + 2.0 * (1.0 - p) * (1.0 - shares)) * _ANYWHERE
+        anywhere = np.log(stray)
+        total += weight * anywhere
+        std_az, std_el = observations.angle_std_rad[row]
         offset = candidates - observations.position_enu_m[row]
+        spread = half_m[:, 0] ** 2 / 3.0
+        near = _near_the_ray(offset, spread, float(azimuth), float(std_az))
+        offset, spread, high = offset[near], spread[near], half_m[near, 1]
         horizontal2 = np.maximum(offset[:, 0] ** 2 + offset[:, 1] ** 2, 0.01)
-        horizontal = np.sqrt(horizontal2)
         distance2 = horizontal2 + offset[:, 2] ** 2
         turn = np.arctan2(offset[:, 1], offset[:, 0]) - azimuth
         turn -= 2.0 * math.pi * np.round(turn / (2.0 * math.pi))
-        lift = np.arctan2(offset[:, 2], horizontal) - elevation
-        spread = half_m[:, 0] ** 2 / 3.0
-        rise = (spread * offset[:, 2] ** 2 + half_m[:, 1] ** 2 / 3.0 * horizontal2) / distance2**2
-        variance_az = observations.angle_std_rad[row, 0] ** 2 + spread / horizontal2
-        variance_el = observations.angle_std_rad[row, 1] ** 2 + rise
+        lift = np.arctan2(offset[:, 2], np.sqrt(horizontal2)) - elevation
+        rise = (spread * offset[:, 2] ** 2 + high**2 / 3.0 * horizontal2) / distance2**2
+        variance_az = std_az**2 + spread / horizontal2
+        variance_el = std_el**2 + rise
         density = np.exp(-0.5 * (turn**2 / variance_az + lift**2 / variance_el))
         density /= 2.0 * math.pi * np.sqrt(variance_az * variance_el)
-        total += observations.angle_weight[row] * np.log(p * density + (1.0 - p) * _ANYWHERE)
+        total[:, near] += weight * (np.log(trusted * density + stray) - anywhere)
     return total
+
+
+def _near_the_ray(offset: FloatArray, spread_m2: FloatArray, azimuth_rad: float, std_rad: float) -> Any:
+    """Indices of the cells where a bearing's density is not nothing (e⁻⁴⁰): most are far off a narrow ray."""
+    east, north = math.cos(azimuth_rad), math.sin(azimuth_rad)
+    along = offset[:, 0] * east + offset[:, 1] * north
+    across = offset[:, 1] * east - offset[:, 0] * north
+    horizontal2 = np.maximum(along**2 + across**2, 0.01)
+    variance_m2 = std_rad**2 * horizontal2 + spread_m2
+    # Behind the vehicle the turn is over 90°: nothing, unless the spread is wide.
+    ahead = (along > 0.0) | (variance_m2 > 0.03 * horizontal2)
+    return np.flatnonzero((across**2 < 80.0 * variance_m2) & ahead)

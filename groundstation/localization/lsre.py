@@ -109,24 +109,36 @@ def lsre_socp(links: Links, area: SearchArea, model: SignalModel) -> LsreAnswer:
 
 
 def update_power_and_exponents(
-    links: Links, position: FloatArray, power_dbm: float, exponent: FloatArray, model: SignalModel
+    links: Links,
+    position: FloatArray,
+    power_dbm: float,
+    exponent: FloatArray,
+    model: SignalModel,
+    *,
+    every_link: bool = False,
 ) -> tuple[float, FloatArray]:
-    """(67), (70), then (68): afterwards every NLOS residual of (69) is zero.
+    """(67), (70), then (68): afterwards every refitted link's residual in (69) is zero.
 
-    LOS-labelled links keep β_LOS. At one metre (68) divides by zero: the exponent stays.
+    LOS-labelled links keep β_LOS, as below (72), unless ``every_link``: (68) as printed knows
+    no labels. At one metre (68) divides by zero: the exponent stays.
     """
     received = received_dbm(links, model)
     log_distance = np.log10(distances_m(links, position))
     if model.known_transmit_power_dbm is None:
         averaged = float((received + 10.0 * exponent * log_distance).mean())
         power_dbm = power_dbm + model.relaxation * (averaged - power_dbm)
-    adjustable = ~links.los(model.los_threshold) & (log_distance > 1e-6)
+    adjustable = (every_link | ~links.los(model.los_threshold)) & (log_distance > 1e-6)
     fitted = (power_dbm - received) / (10.0 * np.where(adjustable, log_distance, 1.0))
     return power_dbm, np.where(adjustable, np.maximum(fitted, _SMALLEST_EXPONENT), exponent)
 
 
-def lsre_socp_iterative(links: Links, area: SearchArea, model: SignalModel) -> LsreAnswer:
-    """(64) and (66)–(70) in turn, as printed, with the paper's stopping rules."""
+def lsre_socp_iterative(
+    links: Links, area: SearchArea, model: SignalModel, *, every_link: bool = False
+) -> LsreAnswer:
+    """(64) and (66)–(70) in turn, as printed, with the paper's stopping rules.
+
+    ``every_link``: see ``update_power_and_exponents``.
+    """
     exponent = first_exponents(links, model)
     power = first_power_dbm(model)
     previous: FloatArray | None = None
@@ -137,7 +149,9 @@ def lsre_socp_iterative(links: Links, area: SearchArea, model: SignalModel) -> L
         gain = gains_per_m(links, power, exponent, model)
         raw, solver = solve_literal(links.position_enu_m, gain, interval_ends(links, exponent, model), area)
         position = area.clip(raw[None])[0]
-        new_power, new_exponent = update_power_and_exponents(links, position, power, exponent, model)
+        new_power, new_exponent = update_power_and_exponents(
+            links, position, power, exponent, model, every_link=every_link
+        )
         new_cost = rss_cost_db2(links, position, new_power, new_exponent, model)
         rises = rises + 1 if new_cost > cost + 1e-9 else 0
         settled = previous is not None and np.linalg.norm(position - previous) < model.position_tolerance_m

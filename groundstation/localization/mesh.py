@@ -11,8 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.localization.problem import BoolArray, FloatArray, SearchArea
+
+IntArray = NDArray[np.int64]
 
 _SUBPOINTS = 4
 
@@ -107,10 +110,16 @@ def masses(log_likelihood: FloatArray, mesh: Mesh) -> FloatArray:
 
 def refine(
     area: SearchArea, evaluate: Callable[[Mesh], FloatArray], settings: MeshSettings
-) -> tuple[Mesh, FloatArray]:
-    """Split from the base mesh until no box holds much; the boxes and their log likelihood."""
+) -> tuple[Mesh, FloatArray, IntArray]:
+    """Split from the base mesh until no box holds much.
+
+    Returns the boxes, their log likelihood, and for each the place that it had among all boxes
+    that ``evaluate`` was given, in order: what was worked out for it need not be again.
+    """
     mesh = base_mesh(area, settings)
     log_likelihood = evaluate(mesh)
+    evaluated = mesh.count
+    place = np.arange(evaluated)
     for _ in range(settings.maximum_rounds):
         mass = masses(log_likelihood, mesh)
         chosen = (mass > settings.split_mass) & (mesh.half_m[:, 0] > 2.0 * settings.minimum_half_m)
@@ -129,7 +138,9 @@ def refine(
             np.concatenate([rest.log_volume, finer.log_volume]),
         )
         log_likelihood = np.concatenate([log_likelihood[~chosen], evaluate(finer)])
-    return mesh, log_likelihood
+        place = np.concatenate([place[~chosen], evaluated + np.arange(finer.count)])
+        evaluated += finer.count
+    return mesh, log_likelihood, place
 
 
 def moments(mesh: Mesh, mass: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -74,7 +74,7 @@ def posterior(links: Links, area: SearchArea, model: SignalModel) -> PosteriorAn
         evidence.angle_log += angle_log_likelihood(observations, 0, mesh.center_enu_m, mesh.half_m, model)
         return evidence
 
-    mesh, log_likelihood = refine(area, lambda m: evidence_at(m).log_likelihood(exponents), _SNAPSHOT_MESH)
+    mesh, log_likelihood, _ = refine(area, lambda m: evidence_at(m).log_likelihood(exponents), _SNAPSHOT_MESH)
     mass = masses(log_likelihood, mesh)
     mean, covariance = moments(mesh, mass)
     best = int(np.argmax(log_likelihood))

@@ -173,6 +173,9 @@ class SignalModel:
     """σ_φ, radians."""
     angle_outlier_probability: float = 0.01
     """Share of LOS angles that point anywhere (used by ``posterior`` only)."""
+    los_shares: tuple[float, ...] = (0.5,)
+    """Equally likely shares of LOS links that angles are weighed under; 0.5 alone takes the
+    links' probabilities as they are (``posterior`` and tracker)."""
     los_exponent: float = 2.5
     """β_LOS, path-loss exponent of a LOS link."""
     los_exponent_std: float = 0.0
@@ -191,6 +194,8 @@ class SignalModel:
     """Lowest NLOS path-loss exponent of the prior."""
     nlos_exponent_max: float = 3.5
     """Highest NLOS path-loss exponent of the prior."""
+    shared_shadowing: float = 0.0
+    """Share of the shadowing's variance that all vehicles meet alike at one place, 0 to 1 (tracker only)."""
     nlos_bias_max_db: float = 7.0
     """b_max: an NLOS link loses another 0 to b_max dB, eq. (8)."""
     first_transmit_power_dbm: float = 15.0
@@ -210,7 +215,7 @@ class SignalModel:
     maximum_iterations: int = 20
     """J_max."""
     diverging_rounds: int = 3
-    """J of (69) up in so many rounds running: diverging, the best round is kept."""
+    """J of (69) up in so many rounds running: diverging, the iteration ends."""
     relaxation: float = 0.5
     """ν of (70)."""
     projection_tolerance: float = 0.05
@@ -269,7 +274,7 @@ class Estimate:
     status: str
     """``ok``, ``iteration limit``, ``diverging`` or what the conic solver said."""
     solve_time_s: float
-    """How long it took; a diagnostic, never an input to anything."""
+    """How long it took; NaN where no clock was given. A diagnostic, never an input to anything."""
 
 
 def check_links(links: Links, needed: int, method: str) -> None:

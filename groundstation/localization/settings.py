@@ -21,15 +21,19 @@ SERVICE_MODEL = SignalModel(
     angle_outlier_probability=0.05,
     los_exponent=2.2,
     los_exponent_std=0.2,
-    transmit_power_min_dbm=-50.0,
-    transmit_power_max_dbm=30.0,
+    transmit_power_min_dbm=-80.0,
+    transmit_power_max_dbm=40.0,
     receiver_offset_std_db=3.0,
-    nlos_exponent_min=1.8,
-    nlos_exponent_max=4.2,
+    nlos_exponent_min=1.5,
+    nlos_exponent_max=6.0,
+    shared_shadowing=0.7,
     nlos_bias_max_db=7.0,
 )
 """Transmit power here is that received at one metre in the model's terms: it takes in the loss
-over the first metre (31.5 dB at 900 MHz), antennas and an excess loss common to all links."""
+over the first metre (31.5 dB at 900 MHz), antennas and an excess loss common to all links.
+Exponents go up to 6: the cover of a buried phone is the longer the flatter the ray, which adds
+its own exponent, (11), to that of free space, (10). Most of the shadowing is shared: what
+stands round a phone stands there for every vehicle."""
 
 
 @dataclass(frozen=True, slots=True)

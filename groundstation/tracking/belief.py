@@ -51,7 +51,7 @@ class TrackObservation:
     los_probability: float
     classified: bool = True
     """False: nobody judged the link, ``los_probability`` is a prior. Its power is then taken as
-    NLOS, whose model is broad enough for both; its angles count by the prior."""
+    NLOS, whose model is broad enough for both; its angles count by the beacon's other ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +74,14 @@ class Belief:
 
     def __init__(self, area: SearchArea, model: SignalModel, settings: TrackingSettings) -> None:
         self._settings = settings
-        self._model = replace(model, angle_outlier_probability=settings.angle_outlier_probability)
+        self._model = replace(
+            model,
+            angle_outlier_probability=settings.angle_outlier_probability,
+            los_shares=settings.los_shares,
+        )
         self._exponents = ExponentGrid.of(self._model)
+        foreign = settings.foreign_parents if model.shared_shadowing > 0.0 else 0
+        self._width = settings.parents + foreign
         self._mesh_settings = MeshSettings(
             base_cells=settings.base_cells,
             maximum_cells=settings.maximum_cells,
@@ -86,9 +92,9 @@ class Belief:
         self._vehicles: list[int] = []
         self._rows: FloatArray = np.zeros((0, _COLUMNS))
         self._weights: FloatArray = np.zeros(0)
-        self._parents: Any = np.zeros((0, settings.parents), dtype=np.int64)
+        self._parents: Any = np.zeros((0, self._width), dtype=np.int64)
         self._mesh = Mesh(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
-        self._evidence = Evidence.empty(0, 0)
+        self._evidence = Evidence.empty(0, 0, len(settings.los_shares))
         self._log_likelihood: FloatArray = np.zeros(0)
         self._remesh_mass = settings.remesh_mass
         self._rebuild()
@@ -191,7 +197,7 @@ class Belief:
                 math.hypot(az_std, bias),
                 math.hypot(el_std, bias),
                 1.0,
-                probability,
+                min(max(probability, 0.01), 0.99) if window.classified else 0.5,
             ]
         )
 
@@ -219,17 +225,22 @@ class Belief:
 
     def _relatives(self, row: FloatArray) -> tuple[int, Any, float]:
         """How many earlier windows share the place, the nearest ones, and what the angles still add."""
-        parents = np.full(self._settings.parents, -1, dtype=np.int64)
+        parents = np.full(self._width, -1, dtype=np.int64)
         row[_FRESH] = 1.0
+        others = np.flatnonzero((self._rows[:, _LINK] != row[_LINK]) & np.isfinite(self._rows[:, _RSS]))
+        if others.size and self._width > self._settings.parents:
+            away = np.square(self._rows[others, :3] - row[:3]).sum(axis=1)
+            close = others[_smallest(away, self._settings.foreign_parents)]
+            parents[self._settings.parents : self._settings.parents + close.size] = close
         same = np.flatnonzero(self._rows[:, _LINK] == row[_LINK])
         if not same.size:
             return 0, parents, self._angle_weight(row, same)
-        gap = np.linalg.norm(self._rows[same, :3] - row[:3], axis=1)
-        order = np.argsort(gap, kind="stable")
+        gap = np.sqrt(np.square(self._rows[same, :3] - row[:3]).sum(axis=1))
         near = int((gap < self._settings.place_radius_m).sum())
-        with_rss = order[np.isfinite(self._rows[same[order], _RSS])][: self._settings.parents]
-        parents[: with_rss.size] = same[with_rss]
-        resemblance = math.exp(-float(gap[order[0]]) / self._settings.correlation_m)
+        heard = np.flatnonzero(np.isfinite(self._rows[same, _RSS]))
+        closest = heard[_smallest(gap[heard], self._settings.parents)]
+        parents[: closest.size] = same[closest]
+        resemblance = math.exp(-float(gap.min()) / self._settings.correlation_m)
         row[_FRESH] = max(1.0 - resemblance**2, 0.02)
         return near, parents, self._angle_weight(row, same)
 
@@ -294,25 +305,17 @@ class Belief:
             drop = np.arange(self.windows - self._settings.maximum_windows)
         keep = np.ones(self.windows, dtype=bool)
         keep[drop] = False
-        kept = self._rows[keep]
-        self._rows = np.zeros((0, _COLUMNS))
-        self._parents = np.zeros((0, self._settings.parents), dtype=np.int64)
-        self._weights = np.zeros(0)
-        for row in kept:
-            _, parents, weight = self._relatives(row)
-            self._append(row, parents, weight)
+        self._relate(self._rows[keep])
         return int(drop.size)
 
-    def _evidence_at(self, mesh: Mesh) -> Evidence:
-        observations = self._observations()
-        links = len(self._vehicles)
-        evidence = Evidence.empty(mesh.count, links)
-        rows = whiten(observations, 0, links, self._settings.correlation_m, self._model)
-        evidence.add(observations, rows, mesh.center_enu_m)
-        evidence.angle_log += angle_log_likelihood(
-            observations, 0, mesh.center_enu_m, mesh.half_m, self._model
-        )
-        return evidence
+    def _relate(self, rows: FloatArray) -> None:
+        """Make ``rows`` the whole history, each related to those before it."""
+        self._rows = np.zeros((0, _COLUMNS))
+        self._parents = np.zeros((0, self._width), dtype=np.int64)
+        self._weights = np.zeros(0)
+        for row in rows:
+            _, parents, weight = self._relatives(row)
+            self._append(row, parents, weight)
 
     def _take(self, first: int) -> None:
         observations = self._observations()
@@ -325,16 +328,22 @@ class Belief:
 
     def _rebuild(self) -> None:
         """Lay the boxes anew and weigh the whole history on them."""
-        self._mesh, _ = refine(
-            self._area,
-            lambda mesh: self._evidence_at(mesh).log_likelihood(
-                self._exponents, self._settings.noise_degrees
-            ),
-            self._mesh_settings,
-        )
-        self._evidence = self._evidence_at(self._mesh)
-        self._log_likelihood = self._evidence.log_likelihood(self._exponents, self._settings.noise_degrees)
+        observations = self._observations()
+        links, shares = len(self._vehicles), len(self._model.los_shares)
+        rows = whiten(observations, 0, links, self._settings.correlation_m, self._model)
+        parts: list[Evidence] = []
 
+        def evaluate(mesh: Mesh) -> FloatArray:
+            part = Evidence.empty(mesh.count, links, shares)
+            part.add(observations, rows, mesh.center_enu_m)
+            part.angle_log += angle_log_likelihood(
+                observations, 0, mesh.center_enu_m, mesh.half_m, self._model
+            )
+            parts.append(part)
+            return part.log_likelihood(self._exponents, self._settings.noise_degrees)
+
+        self._mesh, self._log_likelihood, place = refine(self._area, evaluate, self._mesh_settings)
+        self._evidence = Evidence.gathered(parts, place)
         # Where the number of boxes is used up, laying them anew would not help until the belief moves.
         self._remesh_mass = max(self._settings.remesh_mass, 2.0 * self._heaviest())
 
@@ -375,7 +384,13 @@ class Belief:
         belief._vehicles = [int(vehicle) for vehicle in tree["vehicles"]]
         belief._rows = _array(tree["rows"]).reshape(-1, _COLUMNS)
         belief._weights = _array(tree["weights"])
-        belief._parents = np.array(tree["parents"], dtype=np.int64).reshape(-1, settings.parents)
+        parents = np.array(tree["parents"], dtype=np.int64).reshape(belief.windows, -1)
+        if belief.windows and parents.shape[1] != belief._width:
+            # Kept with other settings: the windows are evidence still, their relations are not.
+            belief._relate(belief._rows)
+            belief._rebuild()
+            return belief
+        belief._parents = parents.reshape(-1, belief._width)
         belief._mesh = Mesh(_array(tree["center_enu_m"]), _array(tree["half_m"]), _array(tree["log_volume"]))
         belief._log_likelihood = _array(tree["log_likelihood"])
         belief._remesh_mass = float(tree["remesh_mass"])
@@ -390,6 +405,15 @@ class Belief:
             int(tree["count"]),
         )
         return belief
+
+
+def _smallest(values: FloatArray, count: int) -> Any:
+    """Indices of the ``count`` smallest values, in order; ties by index."""
+    if values.size > 4 * count:
+        limit = np.partition(values, count - 1)[count - 1]
+        few = np.flatnonzero(values <= limit)
+        return few[np.argsort(values[few], kind="stable")][:count]
+    return np.argsort(values, kind="stable")[:count]
 
 
 def _array(values: Any) -> FloatArray:

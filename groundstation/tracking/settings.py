@@ -10,10 +10,12 @@ from dataclasses import dataclass
 class TrackingSettings:
     """Settings of one beacon's belief."""
 
-    correlation_m: float = 25.0
+    correlation_m: float = 30.0
     """Distance over which shadowing forgets itself, metres (Gudmundson: 10–50)."""
     parents: int = 3
     """Earlier windows of the same vehicle that a window is conditioned on."""
+    foreign_parents: int = 3
+    """Earlier windows of other vehicles that it is conditioned on as well."""
     sample_std_db: float = 1.5
     """Noise of a window's averaged power besides shadowing (fading, quantisation), dB."""
     noise_degrees: float | None = 12.0
@@ -24,6 +26,8 @@ class TrackingSettings:
     """Constant error of a vehicle's angles (mounting, compass), radians."""
     angle_outlier_probability: float = 0.05
     """Share of LOS angles that point anywhere."""
+    los_shares: tuple[float, ...] = (0.01, 0.05, 0.2, 0.5, 0.8, 0.95)
+    """Equally likely shares of a beacon's links that are line of sight: how far its angles are trusted."""
     windows_per_place: int = 4
     """Windows of one vehicle taken from one place; more of them teach nothing and are counted."""
     place_radius_m: float = 1.5

@@ -273,9 +273,13 @@ def _missing(what: str) -> None:
     pytest.skip(what)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """The system's Chromium."""
+    """The system's Chromium.
+
+    Not kept for the session: while Playwright's synchronous driver is open an event loop counts
+    as running in this thread, and no asynchronous test of another folder could start.
+    """
     executable = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if executable is None:
         _missing("no Chromium on this machine: install your system's package 'chromium'")

@@ -293,15 +293,49 @@ def test_same_inputs_same_outputs() -> None:
     assert first == second
 
 
-def test_resumed_session_keeps_beliefs_and_drops_snapshots() -> None:
+def test_resumed_session_tells_all_beliefs_again_and_drops_snapshots() -> None:
     estimator = Estimator(QUICK, MarkedCaptures())
-    play(estimator, story(4, mark=0.9))
-    assert estimator.handle(5 * SECOND, SessionInput("resumed", "1")) == []
+    told = play(estimator, story(4, mark=0.9, beacons=(7, 8)))
+    before = {state.beacon_id: state for state in told if isinstance(state, TargetState)}
+    again = estimator.handle(5 * SECOND, SessionInput("resumed", "1"))
+    assert [state.beacon_id for state in again] == [7, 8]
+    for state in again:
+        old = before[state.beacon_id]
+        assert (state.position, state.radius_90_m, state.windows) == (old.position, old.radius_90_m, 16)
+        assert (state.links, state.snapshot, state.environment) == (0, None, Environment.UNKNOWN)
+        assert [share for share, _ in state.regions] == [0.5, 0.9, 0.95]
+        assert state.sequence == old.sequence + 1
     rng = np.random.default_rng(2)
     play(estimator, [(6 * SECOND, window(1, 6, rng, mark=0.9))])
     (state,) = estimator.handle(7 * SECOND, TickInput())
     assert (state.windows, state.links, state.snapshot) == (17, 1, None)
     assert error_m(state) < 10.0
+
+
+def test_ended_session_fuses_what_waits_and_draws_all_regions() -> None:
+    estimator = Estimator(QUICK, MarkedCaptures())
+    play(estimator, story(4, mark=0.9, beacons=(7, 8)))
+    rng = np.random.default_rng(2)
+    # Beacon 7 was updated just now: a tick would leave this window for the next one.
+    heard = window(1, 4.1, rng, 7, 0.9)
+    play(estimator, [(heard.end_ns, heard)])
+    assert estimator.handle(heard.end_ns + 1, TickInput()) == []
+    taken = tally(estimator)["estimator_windows_taken_total"]
+    outputs = estimator.handle(heard.end_ns + 2, SessionInput("ended", "1"))
+    assert tally(estimator)["estimator_windows_taken_total"] == taken + 1
+    last = {state.beacon_id: state for state in outputs if isinstance(state, TargetState)}
+    assert {beacon: state.windows for beacon, state in last.items()} == {7: 17, 8: 16}
+    assert all(state.regions for state in last.values())
+    # Nothing waits any more, and what is known is told again in full.
+    assert len(estimator.handle(heard.end_ns + 3, SessionInput("ended", "1"))) == 2
+
+
+def test_nothing_is_told_of_a_beacon_without_belief() -> None:
+    estimator = Estimator(QUICK, None)
+    play(estimator, [(SECOND, window(1, 1, np.random.default_rng(0)))])
+    assert estimator.handle(2 * SECOND, SessionInput("resumed", "1")) == []
+    (waiting,) = estimator.handle(3 * SECOND, SessionInput("ended", "1"))
+    assert isinstance(waiting, TargetWaiting)
 
 
 def test_updates_are_spaced() -> None:
@@ -314,3 +348,25 @@ def test_updates_are_spaced() -> None:
         outputs = estimator.handle(tenth * SECOND // 10, TickInput())
         updates += sum(isinstance(output, TargetState) for output in outputs)
     assert updates == pytest.approx(3.0 / QUICK.update_interval_s, abs=1)
+
+
+def test_many_beacons_take_turns() -> None:
+    """Seven beacons wait and three are updated a tick: all have had their turn after three ticks."""
+    rng = np.random.default_rng(0)
+    estimator = Estimator(replace(QUICK, updates_per_tick=3), None)
+    estimator.handle(0, mission())
+    beacons = list(range(11, 18))
+    for beacon in beacons:
+        estimator.handle(0, window(1, 1, rng, beacon))
+    turns = []
+    for tick in range(1, 5):
+        outputs = estimator.handle(SECOND + tick, TickInput())
+        turns.append([output.beacon_id for output in outputs if isinstance(output, TargetState)])
+    assert turns == [beacons[:3], beacons[3:6], beacons[6:], []]
+    assert tally(estimator)["estimator_updates_put_off_total"] == 4 + 1
+    for beacon in beacons:
+        estimator.handle(2 * SECOND, window(2, 2, rng, beacon))
+    # At the end nobody is put off.
+    assert tally(estimator)["estimator_windows_taken_total"] == 7
+    estimator.handle(2 * SECOND, SessionInput("ended", "1"))
+    assert tally(estimator)["estimator_windows_taken_total"] == 14

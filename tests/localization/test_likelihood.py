@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.stats import multivariate_normal
 
@@ -17,13 +19,14 @@ from groundstation.localization.problem import SignalModel
 MODEL = SignalModel(receiver_offset_std_db=1.5, los_exponent_std=0.2)
 
 
-def flight(count: int, seed: int, parents: int) -> Observations:
+def flight(count: int, seed: int, parents: int, foreign: bool = False) -> Observations:
+    """Two vehicles; ``foreign``: windows of the other one are parents too."""
     rng = np.random.default_rng(seed)
     link = np.arange(count) % 2
     place = rng.uniform(-60, 60, (count, 3)) + np.array([0, 0, 60])
     earlier = np.full((count, parents), -1)
     for row in range(count):
-        mine = [r for r in range(row) if link[r] == link[row]][-parents:]
+        mine = [r for r in range(row) if foreign or link[r] == link[row]][-parents:]
         earlier[row, : len(mine)] = mine
     return Observations(
         place,
@@ -40,13 +43,13 @@ def flight(count: int, seed: int, parents: int) -> Observations:
     )
 
 
-def dense_log_likelihood(seen: Observations, x: np.ndarray, grid: ExponentGrid) -> float:
+def dense_log_likelihood(seen: Observations, x: np.ndarray, grid: ExponentGrid, shared: float = 0.0) -> float:
     """The same model as one multivariate normal a node, with its whole covariance."""
     p = seen.los_probability
     gap = np.linalg.norm(seen.position_enu_m[:, None] - seen.position_enu_m[None], axis=2)
     same = seen.link[:, None] == seen.link[None]
     shadow = np.outer(p, p) * MODEL.rss_std_db**2 + np.outer(1 - p, 1 - p) * MODEL.nlos_rss_std_db**2
-    covariance = shadow * np.exp(-gap / 25.0) * same
+    covariance = shadow * np.exp(-gap / 25.0) * np.where(same, 1.0, shared)
     total = p * MODEL.rss_std_db**2 + (1 - p) * MODEL.nlos_rss_std_db**2
     own = total - np.diag(shadow) + mixture_variance_db2(p, MODEL) + seen.white_variance_db2
     covariance += np.diag(own) + MODEL.transmit_power_std_db**2
@@ -61,11 +64,13 @@ def dense_log_likelihood(seen: Observations, x: np.ndarray, grid: ExponentGrid) 
     return float(np.logaddexp.reduce(terms))
 
 
-def evidence_of(seen: Observations, candidates: np.ndarray, parts: list[int]) -> Evidence:
+def evidence_of(
+    seen: Observations, candidates: np.ndarray, parts: list[int], model: SignalModel = MODEL
+) -> Evidence:
     evidence = Evidence.empty(len(candidates), 2)
     for first, last in zip([0, *parts], [*parts, seen.count], strict=True):
         shown = Observations(*(getattr(seen, name)[:last] for name in Observations.__dataclass_fields__))
-        evidence.add(shown, whiten(shown, first, 2, 25.0, MODEL), candidates)
+        evidence.add(shown, whiten(shown, first, 2, 25.0, model), candidates)
     return evidence
 
 
@@ -76,6 +81,16 @@ def test_sequential_form_is_the_multivariate_normal() -> None:
     candidates = np.random.default_rng(4).uniform(-80, 80, (6, 3))
     ours = evidence_of(seen, candidates, [1, 4, 5]).log_likelihood(grid)
     dense = np.array([dense_log_likelihood(seen, x, grid) for x in candidates])
+    assert np.allclose(ours - ours[0], dense - dense[0], atol=1e-8)
+
+
+def test_shadowing_that_vehicles_share_is_the_multivariate_normal() -> None:
+    """70 % of the field alike for both vehicles, all earlier windows of both as parents: to 1e-8."""
+    seen = flight(9, 13, parents=9, foreign=True)
+    grid = ExponentGrid.of(MODEL)
+    candidates = np.random.default_rng(4).uniform(-80, 80, (6, 3))
+    ours = evidence_of(seen, candidates, [2, 5], replace(MODEL, shared_shadowing=0.7)).log_likelihood(grid)
+    dense = np.array([dense_log_likelihood(seen, x, grid, 0.7) for x in candidates])
     assert np.allclose(ours - ours[0], dense - dense[0], atol=1e-8)
 
 
@@ -140,8 +155,45 @@ def test_angles_wrap_and_tails_are_finite() -> None:
     )  # fmt: skip
     reach = 50 / np.tan(0.5)
     spots = reach * np.array([[-1.0, 1e-3, 0], [-1.0, -1e-3, 0], [1.0, 0, 0], [0, 1.0, 0]])
-    value = angle_log_likelihood(seen, 0, spots, np.full((4, 2), 1e-3), model)
+    (value,) = angle_log_likelihood(seen, 0, spots, np.full((4, 2), 1e-3), model)
     assert abs(value[0] - value[1]) < 0.1
     assert value[0] - value[2] > 5
     assert np.isclose(value[2], value[3])
     assert np.isfinite(value).all()
+
+
+def bearings(toward: list[tuple[float, float, float]], p: float) -> Observations:
+    """Windows from a ring, each with the bearing to the place that is given for it."""
+    count = len(toward)
+    turn = 2 * np.pi * np.arange(count) / count
+    place = np.stack([90 * np.cos(turn), 90 * np.sin(turn), np.full(count, 50.0)], axis=1)
+    offset = np.array(toward) - place
+    none = np.full(count, np.nan)
+    return Observations(
+        place, np.zeros(count, dtype=int), none, np.zeros(count), np.ones(count),
+        np.arctan2(offset[:, 1], offset[:, 0]),
+        np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1])),
+        np.full((count, 2), 0.02), np.full(count, p), np.ones(count), np.full((count, 1), -1),
+    )  # fmt: skip
+
+
+def test_one_bearing_among_liars_claims_less_than_one_among_witnesses() -> None:
+    """Same label, same bearing to A; beside it 19 bearings to nowhere in common, or 19 to A."""
+    model = SignalModel(angle_outlier_probability=0.05, los_shares=(0.01, 0.05, 0.2, 0.5, 0.8, 0.95))
+    rng = np.random.default_rng(6)
+    a, b = (20.0, 10.0, 5.0), (-30.0, -25.0, 5.0)
+    scattered = [tuple(rng.uniform(-300, 300, 3) * [1, 1, 0]) for _ in range(19)]
+    candidates = np.array([a, b])
+
+    def claim(seen: Observations, shares: tuple[float, ...]) -> float:
+        evidence = Evidence.empty(2, 1, len(shares))
+        chosen = replace(model, los_shares=shares)
+        evidence.angle_log += angle_log_likelihood(seen, 0, candidates, np.full((2, 2), 0.5), chosen)
+        at_a, at_b = evidence.log_likelihood(ExponentGrid.of(model))
+        return float(at_a - at_b)
+
+    liars = bearings([a, *scattered], 0.5)
+    witnesses = bearings([a] * 20, 0.5)
+    assert claim(liars, (0.5,)) > 4.0
+    assert claim(liars, model.los_shares) < claim(liars, (0.5,)) - 2.0
+    assert claim(witnesses, model.los_shares) > 50.0

@@ -28,7 +28,7 @@ def test_finds_a_narrow_gaussian() -> None:
         return -0.5 * (offset**2 / spread).sum(axis=1) - 0.5 * np.log(spread).sum(axis=1)
 
     fine = MeshSettings(split_mass=0.001)
-    mesh, value = refine(DISC, evaluate, fine)
+    mesh, value, _ = refine(DISC, evaluate, fine)
     mean, covariance = moments(mesh, masses(value, mesh))
     assert np.abs(mean - truth).max() < 0.1
     ratio = np.sqrt(np.diag(covariance)) / std
@@ -38,7 +38,7 @@ def test_finds_a_narrow_gaussian() -> None:
 
 
 def test_flat_belief_is_the_area() -> None:
-    mesh, value = refine(DISC, lambda m: np.zeros(m.count), SETTINGS)
+    mesh, value, _ = refine(DISC, lambda m: np.zeros(m.count), SETTINGS)
     mean, covariance = moments(mesh, masses(value, mesh))
     assert np.abs(mean - [0, 0, 10]).max() < 0.5
     assert abs(covariance[0, 0] / 2500 - 1) < 0.03
@@ -47,5 +47,19 @@ def test_flat_belief_is_the_area() -> None:
 
 def test_number_of_boxes_is_bounded() -> None:
     small = MeshSettings(base_cells=10, maximum_cells=200, split_mass=1e-6)
-    mesh, _ = refine(DISC, lambda m: np.zeros(m.count), small)
+    mesh, _, _ = refine(DISC, lambda m: np.zeros(m.count), small)
     assert mesh.count <= 200 + 7
+
+
+def test_refine_says_where_each_box_was_evaluated() -> None:
+    """What ``evaluate`` worked out for a box is found again by the box's place among all it was given."""
+    centers: list[np.ndarray] = []
+
+    def evaluate(mesh):  # type: ignore[no-untyped-def]
+        centers.append(mesh.center_enu_m)
+        return -np.square(mesh.center_enu_m[:, 0] - 20.0) / 50.0
+
+    mesh, value, place = refine(DISC, evaluate, SETTINGS)
+    assert len(centers) > 1
+    assert (np.concatenate(centers)[place] == mesh.center_enu_m).all()
+    assert (value == -np.square(mesh.center_enu_m[:, 0] - 20.0) / 50.0).all()

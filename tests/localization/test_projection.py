@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.localization import Links, SignalModel, locate
+from groundstation.localization.lsre import lsre_socp_iterative
 from groundstation.localization.projection import (
     los_anchor,
     project,
@@ -38,22 +39,36 @@ def test_anchor_is_the_surest_link_with_angles(draw) -> None:
     assert los_anchor(links, MODEL) == 2
 
 
-def test_literal_test_accepts_next_to_nothing(draw) -> None:
-    """Defect of (76): over 25 right labels the printed test hardly ever projects; the mended one does."""
-    drawn = draw(25, (1, 0, 0, 0), 44)
-    literal = mended = 0
-    for index in range(25):
+def test_literal_test_never_accepts(draw) -> None:
+    """Defect of (76): with (68) on every link J is zero at the free solution, wherever that is."""
+    drawn = draw(30, (1, 0, 0, 0), 44)
+    mended = 0
+    for index in range(30):
         links = drawn.links.problem(index)
+        free = lsre_socp_iterative(links, drawn.area, MODEL, every_link=True)
+        assert free.rss_cost_db2 < 1e-12
+        literal = projection_label_aware_literal(links, 0, drawn.area, MODEL)
+        assert (literal.position_enu_m == free.position_enu_m).all()
         ray = ray_direction(links, 0)
-        for solver in (projection_label_aware_literal, projection_label_aware):
-            place = solver(links, 0, drawn.area, MODEL).position_enu_m - links.position_enu_m[0]
-            on_ray = np.linalg.norm(place - (place @ ray) * ray) < 0.5
-            if solver is projection_label_aware:
-                mended += int(on_ray)
-            else:
-                literal += int(on_ray)
-    assert literal <= 5
-    assert mended >= 18
+        place = projection_label_aware(links, 0, drawn.area, MODEL).position_enu_m - links.position_enu_m[0]
+        mended += int(np.linalg.norm(place - (place @ ray) * ray) < 0.5)
+    assert mended >= 22
+
+
+def test_with_a_fixed_los_exponent_only_that_link_is_left_in_j(draw) -> None:
+    """The other reading: β_LOS kept. J is one residual, and (70) decides whether it is large."""
+    drawn = draw(20, (1, 0, 0, 0), 45)
+    for index in range(20):
+        links = drawn.links.problem(index)
+        free = lsre_socp_iterative(links, drawn.area, MODEL)
+        assert free.path_loss_exponent[0] == MODEL.los_exponent
+        distance = np.linalg.norm(free.position_enu_m - links.position_enu_m, axis=1)
+        expected = free.transmit_power_dbm - 10 * free.path_loss_exponent * np.log10(distance)
+        residual = links.rss_dbm - expected
+        # An exponent held at its floor is the only other way to a residual.
+        refitted = free.path_loss_exponent[1:] > 0.1
+        assert np.abs(residual[1:][refitted]).max() < 1e-9
+        assert free.rss_cost_db2 >= residual[0] ** 2 - 1e-9
 
 
 def test_refuses_a_bearing_that_the_powers_forbid() -> None:

@@ -21,8 +21,8 @@ def run(fly, trials: int, seed: int, los, seconds: int, model=PAPER, settings=SE
     for _ in range(trials):
         flight = fly(rng, los, seconds, **world)
         belief = Belief(flight.area, model, settings)
-        for second in range(0, seconds, 3):
-            belief.update([w for windows in flight.seconds[second : second + 3] for w in windows])
+        for second in range(0, seconds, 7):
+            belief.update([w for windows in flight.seconds[second : second + 7] for w in windows])
         said = containment(belief.mesh, belief.mass)
         error.append(float(np.hypot(*(said.position_enu_m - flight.truth_enu_m)[:2])))
         radius.append(said.radius_90_m)
@@ -30,8 +30,8 @@ def run(fly, trials: int, seed: int, los, seconds: int, model=PAPER, settings=SE
 
 
 def test_nlos_is_calibrated_and_near_the_exact_filter(fly) -> None:
-    """4 vehicles, 60 s, 24 runs, seed 71: an exact filter has 16.6 m."""
-    error, radius = run(fly, 24, 71, (0, 0, 0, 0), 60)
+    """4 vehicles, 60 s, 16 runs, seed 71: an exact filter has 16.6 m."""
+    error, radius = run(fly, 16, 71, (0, 0, 0, 0), 60)
     assert np.sqrt(np.square(error).mean()) < 21.0
     assert (error <= radius).mean() >= 0.75
     # Honest, not timid: the radius is in proportion to the error.
@@ -171,6 +171,59 @@ def test_unclassified_angles_do_not_mislead(fly) -> None:
         belief.update(lying)
     said = containment(belief.mesh, belief.mass)
     assert np.hypot(*(said.position_enu_m - flight.truth_enu_m)[:2]) < 1.5 * said.radius_90_m
+
+
+def test_bearings_that_agree_are_believed_though_nobody_judged(fly) -> None:
+    """No classifier at all: true bearings meet in one place and are found out to be line of sight."""
+    flight = fly(np.random.default_rng(10), (1, 1, 1, 1), 20)
+    belief = Belief(flight.area, SERVICE_MODEL, TrackingSettings())
+    for windows in flight.seconds:
+        belief.update([replace(w, classified=False, los_probability=0.3) for w in windows])
+    said = containment(belief.mesh, belief.mass)
+    assert np.hypot(*(said.position_enu_m - flight.truth_enu_m)[:2]) < said.radius_90_m < 10.0
+
+
+def test_misjudged_bearings_do_not_capture_the_belief(fly) -> None:
+    """Every tenth obstructed window is called LOS at 0.95, its bearing stable over 25 m; 8 runs, seed 75."""
+    rng = np.random.default_rng(75)
+    inside = 0
+    for _ in range(8):
+        flight = fly(rng, (0, 0, 0, 0), 28)
+        belief = Belief(flight.area, SERVICE_MODEL, TrackingSettings())
+        for first in range(0, 28, 3):
+            liar = int(rng.integers(1, 5))
+            azimuth, elevation = float(rng.uniform(-math.pi, math.pi)), float(rng.uniform(-1.4, 0.0))
+            batch = []
+            for second, windows in enumerate(flight.seconds[first : first + 3]):
+                for w in windows:
+                    lies = w.vehicle_id == liar and second < 2
+                    batch.append(
+                        replace(
+                            w,
+                            azimuth_rad=azimuth if lies else float(rng.uniform(-math.pi, math.pi)),
+                            elevation_rad=elevation if lies else float(rng.uniform(-1.4, 0.0)),
+                            los_probability=0.95 if lies else 0.1,
+                        )
+                    )
+            belief.update(batch)
+        said = containment(belief.mesh, belief.mass)
+        inside += bool(np.hypot(*(said.position_enu_m - flight.truth_enu_m)[:2]) <= said.radius_90_m)
+    assert inside >= 6
+
+
+def test_belief_kept_with_other_settings_is_related_anew(fly) -> None:
+    flight = fly(np.random.default_rng(11), (0, 0, 0), 15)
+    old = Belief(flight.area, PAPER, SETTINGS)
+    shared = replace(PAPER, shared_shadowing=0.7)
+    fresh = Belief(flight.area, shared, SETTINGS)
+    for windows in flight.seconds:
+        old.update(windows)
+        fresh.update(windows)
+    again = Belief.restore(old.state(), flight.area, shared, SETTINGS)
+    assert again.windows == fresh.windows
+    one, two = (containment(b.mesh, b.mass) for b in (again, fresh))
+    assert np.linalg.norm(one.position_enu_m - two.position_enu_m) < 0.3 * two.radius_90_m
+    assert again.update(flight.seconds[0]).taken + again.update(flight.seconds[0]).redundant >= 3
 
 
 def test_power_estimate_follows(fly) -> None:

@@ -20,7 +20,7 @@ def gaussian(std: float, *centers: tuple[float, float]):
         ]
         return np.logaddexp.reduce(parts, axis=0) - np.log(spread)
 
-    mesh, value = refine(AREA, evaluate, MeshSettings(split_mass=0.002, maximum_cells=4000))
+    mesh, value, _ = refine(AREA, evaluate, MeshSettings(split_mass=0.002, maximum_cells=4000))
     return mesh, masses(value, mesh)
 
 

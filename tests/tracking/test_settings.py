@@ -1,14 +1,15 @@
 from __future__ import annotations
 
 import ast
+import itertools
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
-import groundstation.engine.estimator_settings as estimator_settings
 import groundstation.localization.settings as localization_settings
 import groundstation.tracking.settings as tracking_settings
+from groundstation.engine import estimator_settings
 
 
 @pytest.mark.parametrize(
@@ -24,7 +25,7 @@ def test_every_setting_is_documented(module: object, name: str) -> None:
     body = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name).body
     documented = {
         before.target.id  # type: ignore[union-attr]
-        for before, after in zip(body, body[1:], strict=False)
+        for before, after in itertools.pairwise(body)
         if isinstance(before, ast.AnnAssign)
         and isinstance(after, ast.Expr)
         and isinstance(after.value, ast.Constant)

@@ -1,0 +1,151 @@
+"""From a beacon's belief to what is told: state, snapshot, regions.
+
+Exists to keep how a belief is worded apart from how it comes about. Rules: the snapshot
+(Algorithm 1) is beside the belief and its failure costs the belief nothing; snapshots and
+regions, which are dear, have intervals of their own.
+"""
+
+from __future__ import annotations
+
+from collections import Counter as Tally
+from typing import Any
+
+import numpy as np
+
+from groundstation.domain.geometry import LocalFrame
+from groundstation.domain.target import Environment, SnapshotEstimate, TargetState
+from groundstation.engine.estimator_beacon import Beacon
+from groundstation.engine.estimator_output import (
+    Heard,
+    covariance_tuple,
+    places_enu,
+    regions_geodetic,
+    rounded_place,
+)
+from groundstation.engine.estimator_settings import EstimatorSettings
+from groundstation.engine.estimator_verdicts import SOLVER_FAULTS
+from groundstation.localization import Links, SearchArea, environment_of, locate
+from groundstation.localization.problem import FloatArray
+from groundstation.tracking import Belief, TrackObservation, containment, region_rings
+
+METHOD = "posterior-filter"
+
+
+def observation(heard: Heard, place: FloatArray) -> TrackObservation:
+    """What the tracker needs of a window; ``place`` (3,) metres ENU."""
+    return TrackObservation(
+        heard.vehicle_id, (float(place[0]), float(place[1]), float(place[2])),
+        heard.rss_dbm, heard.rss_std_error_db,
+        heard.azimuth_rad, heard.elevation_rad, heard.azimuth_std_rad, heard.elevation_std_rad,
+        heard.los_probability, heard.classified,
+    )  # fmt: skip
+
+
+def links_of(fresh: list[Heard], frame: LocalFrame) -> Links:
+    """The newest windows as one snapshot."""
+
+    def numbers(name: str) -> list[float]:
+        return [np.nan if getattr(heard, name) is None else getattr(heard, name) for heard in fresh]
+
+    return Links(
+        places_enu(fresh, frame),
+        np.array(numbers("rss_dbm")),
+        np.array(numbers("azimuth_rad")),
+        np.array(numbers("elevation_rad")),
+        # A link that nobody judged counts as NLOS.
+        np.array([heard.los_probability if heard.classified else 0.0 for heard in fresh]),
+    )
+
+
+def target_state(
+    time_ns: int,
+    beacon: Beacon,
+    belief: Belief,
+    frame: LocalFrame,
+    height_reference: str,
+    settings: EstimatorSettings,
+    tally: Tally[str],
+) -> TargetState:
+    """The next state of a beacon; snapshot and regions are made anew where due."""
+    mass = belief.mass
+    summary = containment(belief.mesh, mass)
+    fresh = beacon.fresh(time_ns, settings.localization)
+    model = settings.localization.model
+    environment, los_count = Environment.UNKNOWN, 0
+    if fresh:
+        links = links_of(fresh, frame)
+        environment = environment_of(links, model)
+        los_count = int(links.los(model.los_threshold).sum())
+        _renew_snapshot(time_ns, beacon, fresh, links, belief.area, frame, settings, tally)
+    else:
+        beacon.snapshot = None
+    regions: tuple[Any, ...] = ()
+    due = int(settings.regions_interval_s * 1e9)
+    if beacon.regions_ns is None or time_ns - beacon.regions_ns >= due:
+        beacon.regions_ns = time_ns
+        regions = regions_geodetic(region_rings(belief.mesh, mass), frame)
+    beacon.sequence += 1
+    east, north, up = (float(value) for value in summary.position_enu_m)
+    return TargetState(
+        beacon_id=beacon.beacon_id,
+        time_ns=time_ns,
+        first_heard_ns=beacon.first_heard_ns,
+        last_heard_ns=beacon.last_heard_ns,
+        position=rounded_place(frame.to_geodetic((east, north, up))),
+        covariance_enu_m2=covariance_tuple(summary.covariance_m2),
+        radius_90_m=round(summary.radius_90_m, 2),
+        environment=environment,
+        los_links=los_count,
+        links=len(fresh),
+        windows=beacon.windows,
+        method=METHOD,
+        height_reference=height_reference,
+        sequence=beacon.sequence,
+        snapshot=beacon.snapshot,
+        regions=regions,
+    )
+
+
+def _renew_snapshot(
+    time_ns: int,
+    beacon: Beacon,
+    fresh: list[Heard],
+    links: Links,
+    area: SearchArea,
+    frame: LocalFrame,
+    settings: EstimatorSettings,
+    tally: Tally[str],
+) -> None:
+    """Algorithm 1 on the newest windows, when it is due and has enough of them."""
+    limits = settings.localization
+    if len(fresh) < limits.model.minimum_links:
+        tally["snapshots_too_few_links"] += 1
+        beacon.snapshot = None
+        return
+    due = int(settings.snapshot_interval_s * 1e9)
+    if beacon.snapshot_ns is not None and time_ns - beacon.snapshot_ns < due:
+        return
+    beacon.snapshot_ns = time_ns
+    try:
+        estimate = locate(links, area, "adaptive", limits.model, limits.choice)
+    except SOLVER_FAULTS:
+        # The belief does not need the snapshot; all vehicles in one place is a normal sight.
+        tally["snapshot_failures"] += 1
+        beacon.snapshot = None
+        return
+    tally["snapshots"] += 1
+    east, north, up = (float(value) for value in estimate.position_enu_m)
+    los = links.los(limits.model.los_threshold)
+    power = estimate.transmit_power_dbm
+    beacon.snapshot = SnapshotEstimate(
+        time_ns=time_ns,
+        position=rounded_place(frame.to_geodetic((east, north, up))),
+        covariance_enu_m2=covariance_tuple(estimate.covariance_m2),
+        environment=estimate.environment,
+        method=estimate.method,
+        transmit_power_dbm=round(power, 3) if np.isfinite(power) else None,
+        path_loss_exponent=tuple(round(float(value), 4) for value in estimate.path_loss_exponent),
+        vehicle_ids=tuple(heard.vehicle_id for heard in fresh),
+        los_vehicle_ids=tuple(h.vehicle_id for h, is_los in zip(fresh, los, strict=True) if is_los),
+        status=estimate.status,
+    )
