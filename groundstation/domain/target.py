@@ -87,7 +87,7 @@ class TargetState:
     """Link windows taken in so far."""
     method: str
     height_reference: str
-    """``terrain``, ``home``, ``settings`` or ``unknown``: what the target's height limits are measured from."""
+    """``terrain``, ``home``, ``settings`` or ``unknown``: what height limits are measured from."""
     sequence: int
     """Counts this beacon's updates."""
     snapshot: SnapshotEstimate | None
