@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from groundstation.config import Config, LoadedConfig, load_config
-from groundstation.domain.errors import ResourceError
+from groundstation.domain.errors import InputError, ResourceError
 
 NAME = "settings.toml"
 
@@ -24,4 +24,6 @@ def write_settings(directory: Path, loaded: LoadedConfig) -> None:
 
 def read_settings(directory: Path) -> Config:
     """The settings of the session in ``directory``. Raises InputError."""
+    if not (directory / NAME).is_file():
+        raise InputError(f"{directory}: not a session's directory (it has no {NAME})")
     return load_config(file=directory / NAME).config

@@ -4,6 +4,8 @@ Everything that may change a belief goes through ``take``: stamped, journalled, 
 ingest and the command desk, then shown. Three things run beside it and come back as inputs
 or outputs: the estimator (a process), planning (a thread) and the radios. What leaves goes
 through the guard, whoever made it. The event loop never waits for a disk, a solver or a page.
+
+Longer than a module should be: it is the one place where all rooms meet, and reads from top to bottom.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ from groundstation.server.rest import HealthCheck
 from groundstation.server.rows import ForwardStatus, StationStatus
 from groundstation.server.serve import listen, serve, url_of
 from groundstation.session_settings import read_settings, write_settings
-from groundstation.store.session import ResumedSession, Session, open_new, resume
+from groundstation.store.session import ResumedSession, open_new, resume
 
 logger = logging.getLogger(__name__)
 
@@ -98,34 +100,6 @@ class Station:
         self.ready = asyncio.Event()
         self.targets: dict[int, TargetState] = {}
         self.waiting: dict[int, TargetWaiting] = {}
-        self._listener = listen(settings.server)
-        self._resumed: ResumedSession | None = None
-        config = loaded.plain()
-        self._events_at_start: list[Event] = []
-        try:
-            if options.resume_from is not None:
-                self._resumed = resume(options.resume_from, __version__, settings.store, config)
-                self.session: Session = self._resumed.session
-            else:
-                self.session, self._began = open_new(settings.data_dir, __version__, settings.store, config)
-        except BaseException:
-            self._listener.close()
-            raise
-        if self._resumed is None:
-            write_settings(self.session.directory, loaded)
-        elif settings != loaded.config:
-            text = "the session goes on with its own settings for measuring, estimating and commanding"
-            now = self.session.clock.time_ns()
-            self._events_at_start.append(Event(now, "settings.kept", Severity.WARNING, text))
-        self.desk = CommandDesk(
-            settings.command.command, settings.safety, forward_commands=settings.forward_commands
-        )
-        self.pipeline = Pipeline(Ingest(settings.measurement), self.desk)
-        self.telemetry = TelemetryDesk(settings.command.telemetry, settings.command.command)
-        self.lane = EstimatorLane(settings.estimator, self._from_lane, self._lane_failed)
-        epoch = f"{self.session.meta.session_id}-{len(self.session.meta.runs)}"
-        clock_ns = self.session.clock.time_ns
-        self.hub = Hub(Picture(epoch, settings.server), clock_ns)
         self.forwards = [
             Forward(
                 url,
@@ -137,19 +111,52 @@ class Station:
             )
             for url in settings.forward
         ]
+        # Made, not opened: a wrong URL must be told before a port or a directory is taken.
         self.radios = Radios(
             settings.links,
             self._on_frames,
             self._on_connection,
             settings=settings.connections,
             forwards=self.forwards,
-            clock_ns=clock_ns,
+            clock_ns=self._now_ns,
         )
+        self._resumed: ResumedSession | None = None
+        self._events_at_start: list[Event] = []
+        self._listener = listen(settings.server)
+        try:
+            self._open_session(loaded)
+        except BaseException:
+            self._listener.close()
+            raise
+        self.desk = CommandDesk(
+            settings.command.command, settings.safety, forward_commands=settings.forward_commands
+        )
+        self.pipeline = Pipeline(Ingest(settings.measurement), self.desk)
+        self.telemetry = TelemetryDesk(settings.command.telemetry, settings.command.command)
+        self.lane = EstimatorLane(settings.estimator, self._from_lane, self._lane_failed)
+        epoch = f"{self.session.meta.session_id}-{len(self.session.meta.runs)}"
+        self.hub = Hub(Picture(epoch, settings.server), self._now_ns)
         self.mavsdk: MavsdkLane | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._lane_counters: list[Counter] = []
         self._last_seq = -1
         self._notes: frozenset[str] = frozenset()
+
+    def _open_session(self, loaded: LoadedConfig) -> None:
+        plain, store, resume_from = loaded.plain(), self.settings.store, self.options.resume_from
+        if resume_from is None:
+            self.session, self._began = open_new(self.settings.data_dir, __version__, store, plain)
+            write_settings(self.session.directory, loaded)
+            return
+        self._resumed = resume(resume_from, __version__, store, plain)
+        self.session = self._resumed.session
+        if self.settings != loaded.config:
+            text = "the session goes on with its own settings for measuring, estimating and commanding"
+            self._events_at_start.append(Event(self._now_ns(), "settings.kept", Severity.WARNING, text))
+
+    def _now_ns(self) -> int:
+        """Station time."""
+        return self.session.clock.time_ns()
 
     @property
     def url(self) -> str:
@@ -185,7 +192,7 @@ class Station:
 
     def _drop(self, queue: str, keys: tuple[WindowKey, ...], why: str) -> None:
         self.take(DropInput(queue, keys))
-        now = self.session.clock.time_ns()
+        now = self._now_ns()
         text = f"{len(keys)} link windows were dropped: {why}"
         self._event(Event(now, "estimator.dropped", Severity.WARNING, text))
 
@@ -234,7 +241,7 @@ class Station:
         expected = state == "open" or self.stop.is_set()
         severity = Severity.INFO if expected else Severity.WARNING
         text = f"{connection}: {state}" + (f" ({detail})" if detail else "")
-        self._event(Event(self.session.clock.time_ns(), f"connection.{state}", severity, text))
+        self._event(Event(self._now_ns(), f"connection.{state}", severity, text))
 
     def _is_ours(self, system_id: int) -> bool:
         return system_id == self.settings.command.command.system_id or self.radios.hears(system_id)
@@ -247,7 +254,7 @@ class Station:
         self._send(frame, Source.MAVSDK, None)
 
     def _send(self, frame: Frame, source: Source, vehicle_id: int | None) -> None:
-        now_ns = self.session.clock.time_ns()
+        now_ns = self._now_ns()
         verdict = self.desk.guard.admit(frame, source, now_ns)
         if not verdict.admitted:
             return
@@ -284,7 +291,7 @@ class Station:
 
     def _lane_failed(self, text: str, dropped: tuple[WindowKey, ...]) -> None:
         def tell() -> None:
-            self._event(Event(self.session.clock.time_ns(), "estimator.restarted", Severity.ERROR, text))
+            self._event(Event(self._now_ns(), "estimator.restarted", Severity.ERROR, text))
             if dropped:
                 self._drop("estimator", dropped, text)
 
@@ -305,7 +312,7 @@ class Station:
                         self._from_mavsdk,
                         self._event,
                         self.settings.command.command,
-                        self.session.clock.time_ns,
+                        self._now_ns,
                     )
                     self.mavsdk = await stack.enter_async_context(lane)
                 group.create_task(serve(app, self._listener, self.stop, self.ready), name="server")
@@ -389,7 +396,7 @@ class Station:
             await asyncio.sleep(PLAN_INTERVAL_S)
             if not self.targets or self.pipeline.mission.fence is None:
                 continue
-            request = self.desk.plan_request(self.session.clock.time_ns(), list(self.targets.values()))
+            request = self.desk.plan_request(self._now_ns(), list(self.targets.values()))
             try:
                 plan = await asyncio.to_thread(propose, request, self.settings.guidance, self.settings.safety)
             except GroundstationError as error:
@@ -420,7 +427,7 @@ class Station:
                 self._request_snapshot()
 
     def _request_snapshot(self) -> None:
-        seq, time_ns, own = self._last_seq, self.session.clock.time_ns(), self.pipeline.state()
+        seq, time_ns, own = self._last_seq, self._now_ns(), self.pipeline.state()
 
         def save(estimator: dict[str, Any]) -> None:
             # On the lane's thread: the disk may take its time there.
