@@ -202,7 +202,9 @@ class EstimatorLane:
         self._on_failure("the estimator process ended and was started again", dropped)
         self._spawn()
         rest = [w for w in batch if not isinstance(w.item, LinkWindow)]
-        answer = self._ask(("work", [*self._since_base, *rest]))
+        # What came of the work before was told then: only the state is wanted again.
+        brought_back = self._ask(("work", self._since_base)) is not None
+        answer = self._ask(("work", rest)) if brought_back else None
         if answer is None:
             self._on_failure(
                 "the estimator process ended again at the same place; its beliefs start anew", ()

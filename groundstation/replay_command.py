@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -101,12 +102,16 @@ def run_replay(
 
 
 def _run(
-    source: Path, config: Config, settings_given: bool, show: Show | None, on_bytes: object
+    source: Path,
+    config: Config,
+    settings_given: bool,
+    show: Show | None,
+    on_bytes: Callable[[int], None] | None,
 ) -> ReplayResult:
     if source.is_dir():
         return replay_session(source, config if settings_given else None, show=show)
     mission = mission_of(replace(config, fence=None))
-    return replay_tlog(source, config, mission=mission, show=show, on_bytes=on_bytes)  # type: ignore[arg-type]
+    return replay_tlog(source, config, mission=mission, show=show, on_bytes=on_bytes)
 
 
 class _ReplayEndedError(Exception):

@@ -52,6 +52,7 @@ from groundstation.logs import log_event
 from groundstation.mavlink.framing import Frame, frame_of
 from groundstation.mavlink.vehicle_message import VehicleMessage
 from groundstation.mavsdk_lane import MavsdkLane
+from groundstation.mission_files import distance_warning
 from groundstation.operator_actions import OperatorActions
 from groundstation.pipeline import Pipeline, Step, dropped_windows, mission_with_origin, without_dropped
 from groundstation.safety.guard import Source
@@ -141,6 +142,9 @@ class Station:
         self._lane_counters: list[Counter] = []
         self._last_seq = -1
         self._notes: frozenset[str] = frozenset()
+        self._taking_up = False
+        """Records from before a stop are being handled again: stored once more (the database takes a row
+        once), but not logged as if they happened now."""
 
     def _open_session(self, loaded: LoadedConfig) -> None:
         plain, store, resume_from = loaded.plain(), self.settings.store, self.options.resume_from
@@ -183,7 +187,16 @@ class Station:
                 if mission is not None:
                     who = f"first valid place of vehicle {output.vehicle_id}"
                     self.take(MissionInput(mission, who))
+                    self._check_areas(mission)
         return step
+
+    def _check_areas(self, mission: Mission) -> None:
+        """Areas far from the vehicles (longitude and latitude swapped, another day's file) are told."""
+        for area in (mission.search_area, mission.fence):
+            if area is not None and mission.origin is not None:
+                text = distance_warning(area, mission.origin)
+                if text is not None:
+                    self._event(Event(self._now_ns(), "mission.far", Severity.WARNING, text))
 
     def _submit(self, step: Step) -> None:
         dropped = self.lane.submit(step.work)
@@ -211,7 +224,8 @@ class Station:
             self._show_status()
 
     def _event(self, event: Event) -> None:
-        log_event(event)
+        if not self._taking_up:
+            log_event(event)
         self.hub.apply(event)
         self.session.database.store(event)
 
@@ -367,6 +381,7 @@ class Station:
             self.pipeline.restore(state["pipeline"], self.pipeline.mission)
             self.pipeline.mission = self.desk.mission
             self.hub.apply(self.desk.mission)
+        self._taking_up = True
         tail = await asyncio.to_thread(list, resumed.tail)
         dropped = dropped_windows(tail)
         for number, record in enumerate(tail):
@@ -377,6 +392,9 @@ class Station:
             self._show(record, step)
             if number % 2000 == 1999:
                 await asyncio.to_thread(self.lane.drain, 60.0)
+        await asyncio.to_thread(self.lane.drain, 60.0)
+        await asyncio.sleep(0)  # what the lane handed over runs now
+        self._taking_up = False
         for event in (*resumed.events, *self._events_at_start):
             self._event(event)
         self._follow(resumed.resumed)

@@ -140,6 +140,9 @@ def test_a_killed_child_comes_back_with_its_beliefs_and_tells(
     ((text, dropped),) = listener.failures
     assert "started again" in text
     assert list(dropped) == lost
+    # What it had told before it died it does not tell again.
+    told = [target.sequence for target in listener.targets]
+    assert told == sorted(set(told))
     # It knows what it knew: the next windows give what an engine gives that never saw the lost ones.
     more = [replace(item, seq=99) for item in work(range(8, 10))[1:]]
     lane.submit(tuple(more))

@@ -9,6 +9,7 @@ import random
 import re
 import signal
 import socket
+import sqlite3
 from pathlib import Path
 
 import httpx
@@ -150,8 +151,9 @@ def test_a_session_replays_to_what_the_live_run_gave(rig: Rig, cli) -> None:
     assert tlog.returncode == 0, tlog.stderr
 
 
-def test_a_killed_station_goes_on_where_it_was_and_resumes_no_grant(rig: Rig, cli) -> None:
-    station = rig.serve()
+@pytest.mark.parametrize("snapshot_s", [2, 600], ids=["from a snapshot", "from the journal alone"])
+def test_a_killed_station_goes_on_where_it_was_and_resumes_no_grant(rig: Rig, cli, snapshot_s: int) -> None:
+    station = rig.serve("--set", f"store.snapshot_interval_s={snapshot_s}")
     rig.swarm()
     rig.until("three beacons are located", lambda: len(rig.located()) == 3)
     before = rig.until(
@@ -174,6 +176,20 @@ def test_a_killed_station_goes_on_where_it_was_and_resumes_no_grant(rig: Rig, cl
     replayed = cli("replay", session, "--format", "geojson", "--out", "again.geojson")
     assert replayed.returncode == 0, replayed.stderr
     assert json.loads((rig.tmp / "again.geojson").read_text()) == live
+    # What was handled again after the restart is not in the log or the history twice.
+    with contextlib.closing(sqlite3.connect(session / "session.sqlite")) as database:
+        for columns, table in (("time_ns, code, text", "events"), ("beacon_id, sequence", "targets")):
+            twice = f"SELECT {columns} FROM {table} GROUP BY {columns} HAVING count(*) > 1"
+            assert database.execute(twice).fetchall() == []
+            assert database.execute(f"SELECT count(*) FROM {table}").fetchone()[0] > 3
+
+
+def test_an_area_far_from_the_vehicles_is_told_once_one_is_there(rig: Rig) -> None:
+    ring = [[0.0, 10.0], [0.01, 10.0], [0.01, 10.01], [0.0, 10.01], [0.0, 10.0]]
+    (rig.tmp / "area.json").write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+    rig.serve()
+    rig.swarm()
+    rig.until("the area is said to be far away", lambda: "km away from the vehicles" in rig.station.text())
 
 
 def test_a_bad_radio_garbage_and_twenty_pages_do_not_stop_it(rig: Rig) -> None:
