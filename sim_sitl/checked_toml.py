@@ -92,13 +92,6 @@ class Table:
             raise self.wrong(key, value, needed)
         return value
 
-    def flag(self, key: str, default: bool) -> bool:
-        """true or false."""
-        value = self._take(key, default, "true or false")
-        if not isinstance(value, bool):
-            raise self.wrong(key, value, "true or false")
-        return value
-
     def text(self, key: str, default: Any = _REQUIRED, *, choices: tuple[str, ...] = ()) -> str:
         """A string, one of ``choices`` if there are any."""
         needed = " or ".join(f'"{choice}"' for choice in choices) if choices else "text"

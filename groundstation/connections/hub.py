@@ -98,19 +98,14 @@ class Hub:
 
     def send(self, frame: bytes) -> int:
         """Sends one frame where it is for; to how many peers it left (0: nobody, counted)."""
-        return len(self.send_by(frame))
-
-    def send_by(self, frame: bytes) -> tuple[str, ...]:
-        """As ``send``; the name of the connection of each peer that it left for."""
         target = target_of(frame)
         if target is None:
-            return self._send_everywhere(frame)
+            return sum(link.send_all(frame) for link in self._links.values())
         route = self.routing.route(target)
         if route is None:
             self.unroutable += 1
-            return ()
-        left = self._links[route.connection].send(frame, route.address)
-        return (route.connection,) if left else ()
+            return 0
+        return int(self._links[route.connection].send(frame, route.address))
 
     def send_stamped(
         self, frame: Frame, stamp: Stamp, system_id: int | None = None
@@ -138,10 +133,6 @@ class Hub:
                 left.append((link.name, raw))
         return left
 
-    def broadcast(self, frame: bytes) -> int:
-        """Sends one frame to every peer of every connection, whomever it is for; how many took it."""
-        return len(self._send_everywhere(frame))
-
     def counters(self) -> list[Counter]:
         """All totals of all connections."""
         counters = [
@@ -153,9 +144,6 @@ class Hub:
         for forward in self._forwards:
             counters += forward.counters()
         return counters
-
-    def _send_everywhere(self, frame: bytes) -> tuple[str, ...]:
-        return tuple(name for name, link in self._links.items() for _ in range(link.send_all(frame)))
 
     def frames(self, link: Link, frames: list[Frame], address: Address) -> None:
         """Verified frames (called by a link)."""

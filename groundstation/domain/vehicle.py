@@ -22,17 +22,6 @@ class Autopilot(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class VehiclePose:
-    """Where a vehicle was and how it was turned, at one instant of station time."""
-
-    time_ns: int
-    position: Geodetic
-    attitude: Quaternion
-    height_above_home_m: float
-    velocity_ned_m_s: tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
 class VehicleState:
     """The newest picture of one vehicle. A field that was never heard is None."""
 

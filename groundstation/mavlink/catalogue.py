@@ -35,9 +35,3 @@ CATALOGUE: dict[int, MessageInfo] = {
     message_id: MessageInfo(message_id, *facts) for message_id, facts in message_table.MESSAGES.items()
 }
 """By message id."""
-
-
-def message_name(message_id: int) -> str:
-    """The message's name, or ``UNKNOWN_<id>``."""
-    info = CATALOGUE.get(message_id)
-    return info.name if info else f"UNKNOWN_{message_id}"

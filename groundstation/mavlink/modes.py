@@ -149,27 +149,6 @@ def mode_name(
     return UNKNOWN_MODE
 
 
-def custom_mode_of(autopilot: Autopilot, name: str, vehicle_type: int = _COPTER_TYPE) -> int | None:
-    """The custom_mode that ``name`` stands for; None where there is none."""
-    if autopilot is Autopilot.ARDUPILOT:
-        table = _ardupilot_table(vehicle_type)
-        return next((number for number, known in table.items() if known == name), None)
-    if autopilot is Autopilot.PX4:
-        main_name, _, sub_name = name.partition(".")
-        main = next((number for number, known in _PX4_MAIN.items() if known == main_name), None)
-        if main is None or not sub_name:
-            return None if main is None else main << 16
-        return next(
-            (
-                main << 16 | sub << 24
-                for (of, sub), known in _PX4_SUB.items()
-                if of == main and known == sub_name
-            ),
-            None,
-        )
-    return None
-
-
 def _ardupilot_table(vehicle_type: int) -> dict[int, str]:
     if vehicle_type in _PLANE_TYPES:
         return _PLANE

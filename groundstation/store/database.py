@@ -13,7 +13,6 @@ import queue
 import sqlite3
 import threading
 import time
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -89,11 +88,6 @@ class Database:
                 self._put(rows.target_row(output), bulk=True)
             case LinkVerdict():
                 self._put(rows.verdict_row(output), bulk=True)
-
-    def store_all(self, outputs: Iterable[object]) -> None:
-        """``store`` for each of ``outputs``."""
-        for output in outputs:
-            self.store(output)
 
     def flush(self, timeout_s: float = 10.0) -> None:
         """Wait until what was stored so far can be queried. Blocks. Raises ResourceError."""

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from groundstation.domain.errors import InputError
@@ -50,12 +50,6 @@ class Journal:
         urgent = not isinstance(record.input, FrameInput | TickInput)
         if self._writer.append(encode_record(record), urgent):
             self.records_count += 1
-
-    def append_many(self, records: Sequence[Record]) -> None:
-        """As ``append``, one lock for all of them."""
-        urgent = any(not isinstance(record.input, FrameInput | TickInput) for record in records)
-        if self._writer.append(b"".join(map(encode_record, records)), urgent, len(records)):
-            self.records_count += len(records)
 
     def sync(self) -> None:
         """Wait until all of it is on the disk itself (blocks). Raises ResourceError."""

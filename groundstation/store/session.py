@@ -65,11 +65,6 @@ class Session:
         self.snapshots_count = 0
         self.snapshots_failed_count = 0
 
-    @property
-    def next_seq(self) -> int:
-        """Sequence number that the next record gets."""
-        return self._seq
-
     def record(self, entry: AnyInput) -> Record:
         """Stamp ``entry`` with its number and time, journal it, and give it back for handling.
 

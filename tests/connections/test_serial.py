@@ -91,7 +91,7 @@ async def test_a_radio_that_takes_no_bytes_blocks_nothing(run_hub: Any, radio: R
         await running.is_open()
         frame = Encoder().pack_payload(20802, bytes([7]) * 252)
         sent = 0
-        while running.hub.broadcast(frame) and sent < 10_000:
+        while running.hub.send(frame) and sent < 10_000:
             sent += 1
         assert 4_096 // len(frame) <= sent < 10_000
         assert running.counter("connection_refused_frames_total") == 1
@@ -102,7 +102,7 @@ async def test_a_radio_that_takes_no_bytes_blocks_nothing(run_hub: Any, radio: R
         await running.until(
             lambda: drained.extend(read(radio)) or len(drained) == sent * len(frame), "drained"
         )
-        assert running.hub.broadcast(frame) == 1
+        assert running.hub.send(frame) == 1
 
 
 async def test_a_missing_device_and_a_plain_file(run_hub: Any, tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ async def test_server_tells_its_clients_apart(run_hub: Any) -> None:
         its_writer.close()
         clients[0][1].close()
         beat = Encoder().pack(encode.heartbeat())
-        await running.until(lambda: running.hub.broadcast(beat) == 1, "the first client gone")
+        await running.until(lambda: running.hub.send(beat) == 1, "the first client gone")
         assert running.hub.is_open(url)
         clients[1][1].close()
 
@@ -94,7 +94,7 @@ async def test_a_client_that_stops_reading_fills_its_queue_and_nothing_else(run_
         frame = Encoder().pack_payload(20802, bytes([7]) * 252)
         sent = 0
         # The kernel's buffers on both sides come first: some megabytes.
-        while running.hub.broadcast(frame) and sent < 200_000:
+        while running.hub.send(frame) and sent < 200_000:
             sent += 1
         assert sent < 200_000
         assert running.counter("connection_refused_frames_total") == 1

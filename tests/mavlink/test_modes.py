@@ -9,7 +9,7 @@ from groundstation.mavlink.decode import decode
 from groundstation.mavlink.dialect import dialect
 from groundstation.mavlink.framing import frame_of
 from groundstation.mavlink.messages import Heartbeat
-from groundstation.mavlink.modes import autopilot_of, custom_mode_of, is_armed, mode_name
+from groundstation.mavlink.modes import autopilot_of, is_armed, mode_name
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,6 @@ def test_ardupilot_numbers_are_the_dialects(enum: str, prefix: str, vehicle_type
             spelled = entry.name.removeprefix(prefix).replace("FLY_BY_WIRE_", "FBW")
             spelled = spelled.replace("INITIALIZING", "INITIALISING")
             assert name.replace("_", "") == spelled.replace("_", "")
-            assert custom_mode_of(Autopilot.ARDUPILOT, name, vehicle_type) == number
 
 
 @pytest.mark.parametrize(
@@ -35,7 +34,6 @@ def test_ardupilot_numbers_are_the_dialects(enum: str, prefix: str, vehicle_type
 def test_px4_main_and_sub(main: int, sub: int, name: str) -> None:
     number = main << 16 | sub << 24
     assert mode_name(Autopilot.PX4, number, 1) == name
-    assert custom_mode_of(Autopilot.PX4, name) == number
 
 
 def test_what_is_not_known_says_so() -> None:
@@ -43,9 +41,6 @@ def test_what_is_not_known_says_so() -> None:
     assert mode_name(Autopilot.PX4, 4 << 16 | 77 << 24, 1) == "AUTO.MODE_77"
     assert mode_name(Autopilot.UNKNOWN, 4, 1) == "unknown"
     assert mode_name(Autopilot.ARDUPILOT, 4, 0) == "unknown"
-    assert custom_mode_of(Autopilot.ARDUPILOT, "HOVER") is None
-    assert custom_mode_of(Autopilot.PX4, "AUTO.NOWHERE") is None
-    assert custom_mode_of(Autopilot.UNKNOWN, "GUIDED") is None
 
 
 def test_the_recorded_flight_was_guided(recorded_frames: list[bytes]) -> None:

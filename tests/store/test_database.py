@@ -38,7 +38,8 @@ def verdict(time_ns: int, probability: float) -> LinkVerdict:
 
 def test_events_newest_first_and_before_an_id(database: Database) -> None:
     events = [Event(i, "vehicle.lost", Severity.WARNING, f"lost {i}", 4, BEACON) for i in range(10)]
-    database.store_all(events)
+    for event in events:
+        database.store(event)
     database.flush()
     newest = database.reader.recent_events(3)
     assert [stored.event for stored in newest] == events[:-4:-1]
@@ -48,7 +49,8 @@ def test_events_newest_first_and_before_an_id(database: Database) -> None:
 
 def test_target_history(database: Database, target_state: Callable[..., TargetState]) -> None:
     states = [target_state(BEACON, n, 1000 * n) for n in range(5)]
-    database.store_all([*states, target_state(1, 0, 5)])
+    for state in (*states, target_state(1, 0, 5)):
+        database.store(state)
     database.flush()
     points = database.reader.target_history(BEACON, since_ns=1000, until_ns=3000)
     assert [point.sequence for point in points] == [2, 3]
@@ -74,7 +76,8 @@ def test_everything_may_come_twice(database: Database, target_state: Callable[..
     ]
     actions = [Record(4, 5, 6, OperatorInput("ann", Decision.CONFIRM, "p1", 2)), Record(5, 5, 6, TickInput())]
     for _ in range(2):
-        database.store_all(outputs)
+        for output in outputs:
+            database.store(output)
         for record in actions:
             database.store_record(record)
     database.flush()
@@ -121,7 +124,8 @@ def test_one_bad_row_does_not_cost_its_neighbours(
 
 
 def test_answers_are_bounded(database: Database) -> None:
-    database.store_all(Event(i, "a", Severity.INFO, "t") for i in range(3))
+    for i in range(3):
+        database.store(Event(i, "a", Severity.INFO, "t"))
     database.flush()
     assert len(database.reader.recent_events(limit=10**12)) == 3
     assert database.reader.recent_events(limit=-5) == []

@@ -39,16 +39,6 @@ def test_reads_back_what_was_written(tmp_path: Path, frame_record: MakeRecord) -
     assert list(read_journal(tmp_path, after_seq=46)) == records[47:]
 
 
-def test_append_many_equals_append(tmp_path: Path, frame_record: MakeRecord) -> None:
-    records = [frame_record(seq) for seq in range(20)]
-    write(tmp_path / "one", records)
-    journal = Journal(tmp_path / "many", "session-1")
-    journal.append_many(records)
-    journal.close()
-    assert journal_files(tmp_path / "many")[0].read_bytes() == journal_files(tmp_path / "one")[0].read_bytes()
-    assert journal.records_count == 20
-
-
 def test_torn_at_every_byte_of_the_last_record(tmp_path: Path, frame_record: MakeRecord) -> None:
     records = [frame_record(seq) for seq in range(4)]
     write(tmp_path, records)
