@@ -43,7 +43,6 @@ types: $(VENV)/.dev
 	$(BIN)/mypy
 
 bench: $(VENV)/.dev ## every performance claim, measured beside its named alternative
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[dev,bench]'
 	$(BIN)/python benchmarks/run.py $(BENCH)
 
 page: $(PAGE) ## build the map page

@@ -1,14 +1,8 @@
 """Where a beacon is, from one snapshot of radio links: Algorithm 1 and its solvers."""
 
 from groundstation.localization.bounds import crlb, fisher_information
-from groundstation.localization.environment import (
-    METHODS,
-    SOUND_CHOICE,
-    Choice,
-    environment_of,
-    locate,
-    locate_batch,
-)
+from groundstation.localization.environment import SOUND_CHOICE, Choice, environment_of
+from groundstation.localization.locate import METHODS, locate, locate_batch
 from groundstation.localization.problem import Estimate, Links, SearchArea, SignalModel
 from groundstation.localization.settings import SERVICE_MODEL, LocalizationSettings
 

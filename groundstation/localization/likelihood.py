@@ -1,31 +1,24 @@
-"""The one likelihood: what link observations say of candidate positions, nuisances marginalised.
+"""The one likelihood: what a link's power and bearing say of a place.
 
 Exists so that the snapshot posterior and the tracker weigh evidence alike; the snapshot is
-the tracker's first update. Rule: pure functions of arrays, log domain, float64, fixed order.
+the tracker's first update. Rule: the model is stated here and nowhere else; its two users differ
+only in what they can afford to sum over: ``link_states`` (few unrelated links: every combination
+of link states) and ``regression`` (many windows along flights: correlated, states by moments).
 
-Model of observation i on link v at place a_i, for a target at x, L_i = log₁₀‖x − a_i‖:
+Model of an observation on link i from place a_i, for a target at x, L_i = log₁₀‖x − a_i‖:
 
-    y_i = P_t − 10 β_i L_i − b + o_v + n_i + e_i
+    y_i = P_t − 10 β_i L_i − b_i + o_i + n_i + e_i
 
-* β_i = p_i β_LOS + (1 − p_i) β_NLOS, p_i = P(line of sight). The mixture of the two link
-  states enters by its first two moments (two Gaussians a few dB apart and 5 dB wide are
-  almost one Gaussian); P_t ~ U and b ~ U(0, b_max) too (eq. (8)).
-* P_t is shared by all links; b and the receiver's offset o_v are constant along a link.
-* n_i is shadowing: a Gaussian field in space, correlation exp(−Δ/d_corr) (Gudmundson, 1991),
-  of which a share is common to all vehicles: what stands in the way stands there for each of
-  them. Every observation is conditioned on the few earlier ones that it resembles most
-  (Vecchia, 1988), wherever along the flights they lie: passing twice over the same ground,
-  with the same vehicle or another, teaches little, and this model knows.
-* e_i is white: measurement noise and what the mixture adds.
-
-None of the covariances depends on x, so one whitening serves all candidates. What remains
-is a linear regression at each candidate: power and offsets are integrated in closed form
-from running sums, the two exponents (shared by all links of their kind) over a small grid.
-
-Angles: with π the share of the beacon's links that are line of sight and p_i what the
-classifier says against even odds, π p_i N(azimuth, elevation) + (1 − π)(1 − p_i) spread evenly.
-π itself is marginalised over a few nodes at each place, so that one bearing which agrees with
-nothing else cannot claim what many agreeing ones would deserve.
+* A link is in line of sight with probability p_i: β_i = β_LOS, b_i = 0; else β_i = β_NLOS and
+  b_i ~ U(0, b_max) (the paper (Gao & Sadjadpour, 2026), eq. (8)). β_LOS is Gaussian, β_NLOS
+  uniform, each shared by all links of its kind and summed over a small grid.
+* P_t is shared by all links; it and b enter by their first two moments (U(0, 7) dB beside 5 dB of
+  shadowing is Gaussian to a hundredth of the error). The receiver's offset o_i is constant along a link.
+* n_i is shadowing, a Gaussian field in space, correlation exp(−Δ/d_corr) (Gudmundson, 1991), of
+  which a share is common to all vehicles: what stands in the way stands there for each of them.
+* e_i is white: measurement noise.
+* A bearing points at the target with Gaussian errors on a LOS link, but for a share of outliers;
+  on an NLOS link anywhere.
 """
 
 from __future__ import annotations
@@ -35,15 +28,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse
 
 from groundstation.localization.problem import FloatArray, SignalModel
 
+ANYWHERE = 1.0 / (2.0 * math.pi * math.pi)
+"""Density of a bearing that points anywhere, per rad²: azimuth all round, elevation ±90°."""
 _MINIMUM_DISTANCE_M = 1.0
 _MIXTURE_LOG_DISTANCE = 1.9
-_FEW_ROWS = 64
-"""Up to here, setting up a sparse matrix costs more than it saves."""
-_ANYWHERE = 1.0 / (2.0 * math.pi * math.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +47,10 @@ class ExponentGrid:
     """(Q,) β_NLOS of each node."""
     log_prior: FloatArray
     """(Q,) log prior mass, sums to one."""
+    los_nodes: FloatArray
+    """Different values of ``los``; the grid is their product with ``nlos_nodes``, these innermost."""
+    nlos_nodes: FloatArray
+    """Different values of ``nlos``."""
 
     @classmethod
     def of(cls, model: SignalModel, nlos_nodes: int = 9) -> ExponentGrid:
@@ -68,303 +63,34 @@ class ExponentGrid:
             weight = np.array([1.0, 4.0, 1.0])
         else:
             los, weight = np.array([model.los_exponent]), np.ones(1)
-        grid_los, grid_nlos = np.meshgrid(los, nlos, indexing="ij")
         mass = np.repeat(weight / weight.sum() / nlos_nodes, nlos_nodes)
-        return cls(grid_los.ravel(), grid_nlos.ravel(), np.log(mass))
+        return cls(np.repeat(los, nlos_nodes), np.tile(nlos, los.size), np.log(mass), los, np.asarray(nlos))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Observations:
-    """n link observations in order of arrival; row i's parents are earlier rows, of any link."""
-
-    position_enu_m: FloatArray
-    """(n, 3) where the vehicle was, metres."""
-    link: Any
-    """(n,) int: number of the vehicle, 0 … V−1."""
-    rss_dbm: FloatArray
-    """(n,) received power; NaN = none."""
-    los_probability: FloatArray
-    """(n,) P(line of sight)."""
-    white_variance_db2: FloatArray
-    """(n,) measurement noise of the power besides shadowing, dB²; larger for what looks an outlier."""
-    azimuth_rad: FloatArray
-    """(n,) NaN = none."""
-    elevation_rad: FloatArray
-    """(n,) NaN = none."""
-    angle_std_rad: FloatArray
-    """(n, 2) standard deviations of azimuth and elevation."""
-    angle_probability: FloatArray
-    """(n,) P(line of sight) as the angles use it; differs where the power's model is broad anyway."""
-    angle_weight: FloatArray
-    """(n,) share of independent evidence in the angles, 0 to 1."""
-    parents: Any
-    """(n, m) int: rows conditioned on; −1 = none."""
-
-    @property
-    def count(self) -> int:
-        """n."""
-        return int(self.rss_dbm.size)
+def expected_excess_db(los_probability: FloatArray, bias_max_db: Any) -> FloatArray:
+    """E[b] of links that are LOS with that probability, dB."""
+    result: FloatArray = 0.5 * bias_max_db * (1.0 - los_probability)
+    return result
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Whitened:
-    """Rows of the whitened regression, the same for every candidate position."""
-
-    rows: Any
-    """(r,) int: which observations they come from."""
-    mixing: FloatArray
-    """(r, 1 + m): factor of the row's own loading and of its parents'."""
-    level: FloatArray
-    """(r,) whitened y − E[P_t] + E[b]."""
-    loading: FloatArray
-    """(r, 1 + V): on (P_t, offset of each link), in prior standard deviations."""
-    scale: FloatArray
-    """(r,) standard deviation before whitening, dB."""
+def offset_variance_db2(los_probability: FloatArray, model: SignalModel, bias_max_db: Any) -> FloatArray:
+    """Variance of what is constant along a link: the receiver's offset and b, dB²."""
+    result: FloatArray = (
+        model.receiver_offset_std_db**2 + (1.0 - los_probability) * np.square(bias_max_db) / 12.0
+    )
+    return result
 
 
-def mixture_variance_db2(los_probability: FloatArray, model: SignalModel) -> FloatArray:
+def mixture_variance_db2(los_probability: FloatArray, model: SignalModel, bias_max_db: Any) -> FloatArray:
     """What not knowing the link's state adds to the variance of the power, dB²."""
     gap = (
         10.0
         * (0.5 * (model.nlos_exponent_min + model.nlos_exponent_max) - model.los_exponent)
         * _MIXTURE_LOG_DISTANCE
-        + 0.5 * model.nlos_bias_max_db
+        + 0.5 * bias_max_db
     )
     result: FloatArray = los_probability * (1.0 - los_probability) * gap**2
     return result
-
-
-def _shadowing_covariance(
-    observations: Observations, a: Any, b: Any, correlation_m: float, model: SignalModel
-) -> FloatArray:
-    """Covariance of shadowing between rows a and b (broadcast), dB². LOS and NLOS fields are independent."""
-    gap = np.linalg.norm(observations.position_enu_m[a] - observations.position_enu_m[b], axis=-1)
-    p, q = observations.los_probability[a], observations.los_probability[b]
-    both = p * q * model.rss_std_db**2 + (1.0 - p) * (1.0 - q) * model.nlos_rss_std_db**2
-    alike = np.where(observations.link[a] == observations.link[b], 1.0, model.shared_shadowing)
-    result: FloatArray = both * alike * np.exp(-gap / correlation_m)
-    return result
-
-
-def whiten(
-    observations: Observations, first: int, links: int, correlation_m: float, model: SignalModel
-) -> Whitened:
-    """Whiten the rows from ``first`` on: each minus its expectation given its parents, over its spread."""
-    rows = np.arange(first, observations.count)
-    rows = rows[np.isfinite(observations.rss_dbm[rows])]
-    parents = observations.parents[rows]
-    present = parents >= 0
-    safe = np.where(present, parents, 0)
-    p = observations.los_probability
-    total = p * model.rss_std_db**2 + (1.0 - p) * model.nlos_rss_std_db**2
-    nugget = (
-        total
-        - (p**2 * model.rss_std_db**2 + (1.0 - p) ** 2 * model.nlos_rss_std_db**2)
-        + mixture_variance_db2(p, model)
-        + observations.white_variance_db2
-    )
-    among = _shadowing_covariance(observations, safe[:, :, None], safe[:, None, :], correlation_m, model) * (
-        present[:, :, None] & present[:, None, :]
-    )
-    width = parents.shape[1]
-    diagonal = np.arange(width)
-    among[:, diagonal, diagonal] += np.where(present, nugget[safe], 1.0)
-    toward = _shadowing_covariance(observations, safe, rows[:, None], correlation_m, model) * present
-    weights = np.linalg.solve(among, toward[..., None])[..., 0] if rows.size else toward
-    own = p[rows] ** 2 * model.rss_std_db**2 + (1.0 - p[rows]) ** 2 * model.nlos_rss_std_db**2
-    variance = own + nugget[rows] - np.einsum("rm,rm->r", weights, toward)
-    scale = np.sqrt(np.maximum(variance, 1e-6))
-    mixing = np.concatenate([np.ones((rows.size, 1)), -weights], axis=1) / scale[:, None]
-    family = np.concatenate([rows[:, None], safe], axis=1)
-    base = (
-        np.nan_to_num(observations.rss_dbm)
-        - model.receiver_offset_db
-        - model.transmit_power_mean_dbm
-        + 0.5 * model.nlos_bias_max_db * (1.0 - p)
-    )
-    offset_std = np.sqrt(model.receiver_offset_std_db**2 + (1.0 - p) * model.nlos_bias_max_db**2 / 12.0)
-    loading = np.zeros((rows.size, 1 + links))
-    loading[:, 0] = model.transmit_power_std_db * mixing.sum(axis=1)
-    own_row = np.repeat(np.arange(rows.size)[:, None], family.shape[1], axis=1)
-    np.add.at(loading, (own_row, 1 + observations.link[family]), mixing * offset_std[family])
-    level = (mixing * base[family]).sum(axis=1)
-    return Whitened(rows, mixing, level, loading, scale)
-
-
-@dataclass(slots=True, eq=False)
-class Evidence:
-    """Running sums of the whitened regression at C candidates; ``add`` rows, read ``log_likelihood``."""
-
-    level_level: float
-    level_loading: FloatArray
-    """(1 + V,)"""
-    loading_loading: FloatArray
-    """(1 + V, 1 + V), prior included."""
-    level_path: FloatArray
-    """(2, C): level × path loss of LOS, NLOS."""
-    path_path: FloatArray
-    """(3, C): LOS·LOS, LOS·NLOS, NLOS·NLOS."""
-    loading_path: FloatArray
-    """(2, 1 + V, C)."""
-    angle_log: FloatArray
-    """(N, C) log likelihood of the angles for each node of π, the share of LOS links."""
-    count: int = 0
-    """Rows taken in."""
-
-    @classmethod
-    def empty(cls, candidates: int, links: int, shares: int = 1) -> Evidence:
-        """No evidence at ``candidates`` places from ``links`` links, for ``shares`` nodes of π."""
-        return cls(
-            0.0,
-            np.zeros(1 + links),
-            np.eye(1 + links),
-            np.zeros((2, candidates)),
-            np.zeros((3, candidates)),
-            np.zeros((2, 1 + links, candidates)),
-            np.zeros((shares, candidates)),
-        )
-
-    @classmethod
-    def gathered(cls, parts: list[Evidence], place: Any) -> Evidence:
-        """The same rows' evidence at candidates of several parts: ``place`` (C,) counts through them."""
-
-        def joined(arrays: list[FloatArray]) -> FloatArray:
-            result: FloatArray = np.concatenate(arrays, axis=-1)[..., place]
-            return result
-
-        first = parts[0]
-        return cls(
-            first.level_level,
-            first.level_loading,
-            first.loading_loading,
-            joined([part.level_path for part in parts]),
-            joined([part.path_path for part in parts]),
-            joined([part.loading_path for part in parts]),
-            joined([part.angle_log for part in parts]),
-            first.count,
-        )
-
-    def grow(self, links: int) -> None:
-        """Make room for links not heard before."""
-        more = 1 + links - self.level_loading.size
-        if more <= 0:
-            return
-        self.level_loading = np.concatenate([self.level_loading, np.zeros(more)])
-        size = self.loading_loading.shape[0]
-        wider = np.eye(size + more)
-        wider[:size, :size] = self.loading_loading
-        self.loading_loading = wider
-        pad = np.zeros((2, more, self.angle_log.shape[1]))
-        self.loading_path = np.concatenate([self.loading_path, pad], axis=1)
-
-    def add(self, observations: Observations, rows: Whitened, candidates: FloatArray) -> None:
-        """Take in whitened rows; ``candidates`` (C, 3) metres ENU."""
-        if not rows.rows.size:
-            return
-        los, nlos = self.path_rows(observations, rows, candidates)
-        self.count += int(rows.rows.size)
-        self.level_level += float(rows.level @ rows.level)
-        self.level_loading += rows.loading.T @ rows.level
-        self.loading_loading += rows.loading.T @ rows.loading
-        self.level_path[0] += rows.level @ los
-        self.level_path[1] += rows.level @ nlos
-        self.path_path[0] += np.einsum("rc,rc->c", los, los)
-        self.path_path[1] += np.einsum("rc,rc->c", los, nlos)
-        self.path_path[2] += np.einsum("rc,rc->c", nlos, nlos)
-        used = np.flatnonzero(rows.loading.any(axis=0))
-        part = np.ascontiguousarray(rows.loading[:, used].T)
-        self.loading_path[0][used] += part @ los
-        self.loading_path[1][used] += part @ nlos
-
-    @staticmethod
-    def path_rows(
-        observations: Observations, rows: Whitened, candidates: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Whitened 10 log₁₀ d of each row at each candidate, for LOS and NLOS: two (r, C)."""
-        parents = observations.parents[rows.rows]
-        family = np.concatenate([rows.rows[:, None], np.where(parents >= 0, parents, 0)], axis=1)
-        needed, where = np.unique(family, return_inverse=True)
-        where = where.reshape(family.shape)
-        path = path_loss_db(observations.position_enu_m[needed], candidates)
-        p = observations.los_probability[needed]
-        index = np.repeat(np.arange(rows.rows.size), family.shape[1])
-        shape = (rows.rows.size, needed.size)
-
-        def mix(share: FloatArray) -> FloatArray:
-            if not share.any():
-                return np.zeros((shape[0], path.shape[1]))
-            weights = rows.mixing * share[where]
-            if rows.rows.size <= _FEW_ROWS:
-                mixed = weights[:, :1] * path[where[:, 0]]
-                for member in range(1, weights.shape[1]):
-                    mixed += weights[:, member, None] * path[where[:, member]]
-                return mixed
-            # Few entries a row: a sparse product costs a hundredth of the dense one.
-            sparse = scipy.sparse.csr_array((weights.ravel(), (index, where.ravel())), shape=shape)
-            return np.asarray(sparse @ path, dtype=np.float64)
-
-        return mix(p), mix(1.0 - p)
-
-    def _reduced(self, cells: Any = slice(None)) -> tuple[float, FloatArray, FloatArray]:
-        """The quadratic form's terms at ``cells`` with power and offsets integrated out."""
-        factor = np.linalg.cholesky(self.loading_loading)
-        inverse = np.linalg.inv(factor)
-        level = inverse @ self.level_loading
-        los = inverse @ self.loading_path[0][:, cells]
-        nlos = inverse @ self.loading_path[1][:, cells]
-        cross = self.level_path[:, cells] - np.stack([level @ los, level @ nlos])
-        square = self.path_path[:, cells] - np.stack(
-            [
-                np.einsum("vc,vc->c", los, los),
-                np.einsum("vc,vc->c", los, nlos),
-                np.einsum("vc,vc->c", nlos, nlos),
-            ]
-        )
-        return self.level_level - float(level @ level), cross, square
-
-    def log_likelihood(self, exponents: ExponentGrid, noise_degrees: float | None = None) -> FloatArray:
-        """(C,) log likelihood of each candidate, up to a constant.
-
-        ``noise_degrees`` None: the model's noise level is right. Else it is itself unknown,
-        inverse-gamma round the model's with so many degrees of freedom, and integrated out
-        (a multivariate Student-t): residuals larger than expected widen the belief.
-        """
-        constant, cross, square = self._reduced()
-        los, nlos = exponents.los[:, None], exponents.nlos[:, None]
-        form = constant + 2.0 * (los * cross[0] + nlos * cross[1])
-        form += los**2 * square[0] + 2.0 * los * nlos * square[1] + nlos**2 * square[2]
-        if noise_degrees is None:
-            score = exponents.log_prior[:, None] - 0.5 * form
-        else:
-            weight = 0.5 * (noise_degrees + self.count)
-            score = exponents.log_prior[:, None] - weight * np.log1p(np.maximum(form, 0.0) / noise_degrees)
-        top = score.max(axis=0)
-        power: FloatArray = top + np.log(np.exp(score - top).sum(axis=0))
-        # The nodes of π are equally likely.
-        best = self.angle_log.max(axis=0)
-        angles: FloatArray = best + np.log(np.exp(self.angle_log - best).mean(axis=0))
-        return power + angles
-
-    def exponents_at(self, candidate: int, exponents: ExponentGrid) -> tuple[FloatArray, float, float]:
-        """Posterior (Q,) over the grid's nodes at one candidate, and its mean β_LOS and β_NLOS."""
-        constant, cross, square = self._reduced(slice(candidate, candidate + 1))
-        c, s = cross[:, 0], square[:, 0]
-        form = constant + 2.0 * (exponents.los * c[0] + exponents.nlos * c[1])
-        form += exponents.los**2 * s[0] + 2.0 * exponents.los * exponents.nlos * s[1]
-        form += exponents.nlos**2 * s[2]
-        score = exponents.log_prior - 0.5 * form
-        mass = np.exp(score - score.max())
-        mass /= mass.sum()
-        return mass, float(mass @ exponents.los), float(mass @ exponents.nlos)
-
-    def nuisances_at(self, candidate: int, los_exponent: float, nlos_exponent: float) -> FloatArray:
-        """(1 + V,) posterior mean of power and offsets, in prior standard deviations."""
-        right = (
-            self.level_loading
-            + los_exponent * self.loading_path[0, :, candidate]
-            + nlos_exponent * self.loading_path[1, :, candidate]
-        )
-        return np.asarray(np.linalg.solve(self.loading_loading, right), dtype=np.float64)
 
 
 def path_loss_db(vehicle_enu_m: FloatArray, candidates: FloatArray) -> FloatArray:
@@ -372,65 +98,56 @@ def path_loss_db(vehicle_enu_m: FloatArray, candidates: FloatArray) -> FloatArra
     square = np.square(candidates[None, :, 0] - vehicle_enu_m[:, 0, None])
     square += np.square(candidates[None, :, 1] - vehicle_enu_m[:, 1, None])
     square += np.square(candidates[None, :, 2] - vehicle_enu_m[:, 2, None])
-    np.maximum(square, _MINIMUM_DISTANCE_M**2, out=square)
+    return path_loss_of_square(square)
+
+
+def path_loss_of_square(square_m2: FloatArray) -> FloatArray:
+    """10 log₁₀ of the root of squared distances, in place; distances under 1 m count as 1 m."""
+    np.maximum(square_m2, _MINIMUM_DISTANCE_M**2, out=square_m2)
     # NumPy has a vector loop for log, none for log10.
-    np.log(square, out=square)
-    square *= 5.0 / math.log(10.0)
-    return square
+    np.log(square_m2, out=square_m2)
+    square_m2 *= 5.0 / math.log(10.0)
+    return square_m2
 
 
-def angle_log_likelihood(
-    observations: Observations,
-    first: int,
-    candidates: FloatArray,
-    half_m: FloatArray,
-    model: SignalModel,
+def bearing_density(
+    offset_m: FloatArray,
+    across_m2: FloatArray,
+    upright_m2: FloatArray,
+    bearing_rad: tuple[Any, Any],
+    std_rad: tuple[float, float],
 ) -> FloatArray:
-    """(N, C) summed log likelihood of the angles of rows from ``first`` on, for each ``model.los_shares``.
+    """Density of a bearing (azimuth, elevation) per rad², seen over ``offset_m`` (3, …) from the vehicle.
 
-    ``half_m`` (C, 2): half the width and height of the cell that each candidate stands for;
-    the angle's spread over the cell is added to its variance, so that a coarse cell is not
-    thrown away because its centre lies beside a narrow ray.
+    ``across_m2`` and ``upright_m2``: variance of the target's place in its box, horizontal (each
+    axis) and vertical, added to the bearing's where the box is wider than the ray, so that a coarse
+    box is not thrown away because its centre lies beside it.
     """
-    shares = np.array(model.los_shares)[:, None]
-    total = np.zeros((shares.size, candidates.shape[0]))
-    for row in range(first, observations.count):
-        p = observations.angle_probability[row]
-        azimuth, elevation = observations.azimuth_rad[row], observations.elevation_rad[row]
-        if not (math.isfinite(azimuth) and math.isfinite(elevation)) or p <= 0.0:
-            continue
-        weight = observations.angle_weight[row]
-        right = 2.0 * p * shares
-        trusted = right * (1.0 - model.angle_outlier_probability)
-        stray = (right - trusted + 2.0 * (1.0 - p) * (1.0 - shares)) * _ANYWHERE
-        anywhere = np.log(stray)
-        total += weight * anywhere
-        std_az, std_el = observations.angle_std_rad[row]
-        offset = candidates - observations.position_enu_m[row]
-        spread = half_m[:, 0] ** 2 / 3.0
-        near = _near_the_ray(offset, spread, float(azimuth), float(std_az))
-        offset, spread, high = offset[near], spread[near], half_m[near, 1]
-        horizontal2 = np.maximum(offset[:, 0] ** 2 + offset[:, 1] ** 2, 0.01)
-        distance2 = horizontal2 + offset[:, 2] ** 2
-        turn = np.arctan2(offset[:, 1], offset[:, 0]) - azimuth
-        turn -= 2.0 * math.pi * np.round(turn / (2.0 * math.pi))
-        lift = np.arctan2(offset[:, 2], np.sqrt(horizontal2)) - elevation
-        rise = (spread * offset[:, 2] ** 2 + high**2 / 3.0 * horizontal2) / distance2**2
-        variance_az = std_az**2 + spread / horizontal2
-        variance_el = std_el**2 + rise
-        density = np.exp(-0.5 * (turn**2 / variance_az + lift**2 / variance_el))
-        density /= 2.0 * math.pi * np.sqrt(variance_az * variance_el)
-        total[:, near] += weight * (np.log(trusted * density + stray) - anywhere)
-    return total
+    east, north, up = offset_m
+    azimuth, elevation = bearing_rad
+    horizontal2 = np.maximum(east * east + north * north, 0.01)
+    distance2 = horizontal2 + up * up
+    cos, sin = np.cos(azimuth), np.sin(azimuth)
+    turn = np.arctan2(north * cos - east * sin, east * cos + north * sin)
+    lift = np.arctan2(up, np.sqrt(horizontal2)) - elevation
+    rise = (across_m2 * up * up + upright_m2 * horizontal2) / (distance2 * distance2)
+    variance_az = _widened(std_rad[0] ** 2, across_m2 / horizontal2)
+    variance_el = _widened(std_rad[1] ** 2, rise)
+    density: FloatArray = np.exp(-0.5 * (turn * turn / variance_az + lift * lift / variance_el))
+    density /= 2.0 * math.pi * np.sqrt(variance_az * variance_el)
+    return density
 
 
-def _near_the_ray(offset: FloatArray, spread_m2: FloatArray, azimuth_rad: float, std_rad: float) -> Any:
-    """Indices of the cells where a bearing's density is not nothing (e⁻⁴⁰): most are far off a narrow ray."""
-    east, north = math.cos(azimuth_rad), math.sin(azimuth_rad)
-    along = offset[:, 0] * east + offset[:, 1] * north
-    across = offset[:, 1] * east - offset[:, 0] * north
-    horizontal2 = np.maximum(along**2 + across**2, 0.01)
-    variance_m2 = std_rad**2 * horizontal2 + spread_m2
-    # Behind the vehicle the turn is over 90°: nothing, unless the spread is wide.
-    ahead = (along > 0.0) | (variance_m2 > 0.03 * horizontal2)
-    return np.flatnonzero((across**2 < 80.0 * variance_m2) & ahead)
+def _widened(variance: float, of_box: FloatArray) -> FloatArray:
+    """The variance of a bearing seen from a box.
+
+    From boxes up to 1.4 σ wide the centres alone add up to the integral (the midpoint rule on a
+    Gaussian: error under 10⁻⁴); adding their extent would count it twice.
+    """
+    wide = of_box * (3.0 / variance)
+    wide -= 0.5
+    np.maximum(wide, 0.0, out=wide)
+    np.minimum(wide, 1.0, out=wide)
+    wide *= of_box
+    wide += variance
+    return wide

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
@@ -22,6 +22,9 @@ from shapely.geometry.base import BaseGeometry
 
 from groundstation.domain.errors import InputError
 from groundstation.domain.target import Environment
+
+if TYPE_CHECKING:
+    from groundstation.localization.posterior import PosteriorAnswer
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -70,7 +73,7 @@ class Links:
 
     def los(self, threshold: float) -> BoolArray:
         """Which links are labelled LOS: P ≥ ``threshold``; unknown (NaN) is not."""
-        result: BoolArray = np.nan_to_num(self.los_probability, nan=0.0) >= threshold
+        result: BoolArray = self.los_probability >= threshold
         return result
 
     def subset(self, keep: Any) -> Links:
@@ -86,6 +89,25 @@ class Links:
     def problem(self, index: int) -> Links:
         """One problem of a batch."""
         return self.subset(index)
+
+    def take(self, columns: Any) -> Links:
+        """The links ``columns`` (N, k) of each problem of a batch."""
+
+        def taken(values: FloatArray) -> FloatArray:
+            return np.take_along_axis(values, columns, axis=1)
+
+        place = np.take_along_axis(self.position_enu_m, columns[..., None], axis=1)
+        return Links(
+            place,
+            taken(self.rss_dbm),
+            taken(self.azimuth_rad),
+            taken(self.elevation_rad),
+            taken(self.los_probability),
+        )
+
+    def as_batch(self) -> Links:
+        """A single problem as a batch of one."""
+        return self.subset(None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,6 +195,10 @@ class SignalModel:
     """σ_φ, radians."""
     angle_outlier_probability: float = 0.01
     """Share of LOS angles that point anywhere (used by ``posterior`` only)."""
+    rss_outlier_probability: float = 0.01
+    """Share of links whose power is far off, the model does not know why (``posterior`` only)."""
+    rss_outlier_std_db: float = 20.0
+    """How far off such a power is, standard deviation, dB."""
     los_shares: tuple[float, ...] = (0.5,)
     """Equally likely shares of LOS links that angles are weighed under; 0.5 alone takes the
     links' probabilities as they are (``posterior`` and tracker)."""
@@ -258,7 +284,8 @@ class Estimate:
     position_enu_m: FloatArray
     """(3,) metres."""
     covariance_m2: FloatArray
-    """(3, 3) m²: the Cramér–Rao bound on LOS links, else the posterior's spread."""
+    """(3, 3) m²: the Cramér–Rao bound on LOS links, else the posterior's spread about the answer; NaN
+    where it was not asked for."""
     environment: Environment
     """Algorithm 1's environment by the links' labels."""
     method: str
@@ -268,39 +295,12 @@ class Estimate:
     path_loss_exponent: FloatArray
     """(K,) β̂ of each link."""
     rss_cost_db2: float
-    """J of (69) at the answer, dB²."""
+    """J of (69) at the answer, dB²; NaN where the method has no power."""
     iterations: int
     """Rounds of the outer iteration; 1 for a closed form."""
     status: str
-    """``ok``, ``iteration limit``, ``diverging`` or what the conic solver said."""
+    """``ok``, ``iteration limit``, ``diverging``, or what went wrong."""
     solve_time_s: float
     """How long it took; NaN where no clock was given. A diagnostic, never an input to anything."""
-
-
-def check_links(links: Links, needed: int, method: str) -> None:
-    """Raise InputError unless a single problem has ``needed`` usable links in two or more places."""
-    if links.position_enu_m.ndim != 2:
-        raise InputError(
-            f"{method} got positions of shape {links.position_enu_m.shape}; (K, 3) is needed"
-            " (locate_batch takes a leading axis)"
-        )
-    if links.count < needed:
-        raise InputError(f"{method} got {links.count} link(s); it needs {needed} or more")
-    bad = np.flatnonzero(~np.isfinite(links.position_enu_m).all(axis=1))
-    if bad.size:
-        raise InputError(f"vehicle position of link {bad[0]} is not finite; ENU metres are needed")
-    bad = np.flatnonzero(~np.isfinite(links.rss_dbm))
-    if bad.size:
-        raise InputError(f"received power of link {bad[0]} is not finite; dBm is needed")
-    outside = np.flatnonzero((links.los_probability < 0.0) | (links.los_probability > 1.0))
-    if outside.size:
-        raise InputError(
-            f"P(line of sight) of link {outside[0]} is {links.los_probability[outside[0]]}; 0 to 1 is needed"
-        )
-    if needed > 1:
-        spread = np.abs(links.position_enu_m - links.position_enu_m[0]).max()
-        if spread < 1.0:
-            raise InputError(
-                f"all {links.count} vehicles are within {spread:.2f} m of one place;"
-                f" {method} needs two or more places"
-            )
+    belief: PosteriorAnswer | None = None
+    """The belief over position and its containment regions; of ``posterior`` only."""

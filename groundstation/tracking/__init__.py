@@ -1,7 +1,7 @@
 """Where each beacon could be, given every window heard so far."""
 
+from groundstation.localization.containment import Containment, containment, region_rings
 from groundstation.tracking.belief import Belief, TrackObservation, Update
-from groundstation.tracking.containment import Containment, containment, region_rings
 from groundstation.tracking.settings import TrackingSettings
 
 __all__ = [

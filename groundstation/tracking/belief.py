@@ -18,15 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.localization.likelihood import (
-    Evidence,
-    ExponentGrid,
-    Observations,
-    angle_log_likelihood,
-    whiten,
-)
-from groundstation.localization.mesh import Mesh, MeshSettings, masses, refine
+from groundstation.localization.likelihood import ExponentGrid
+from groundstation.localization.mesh import IntArray, Mesh, MeshSettings, masses, refine
 from groundstation.localization.problem import FloatArray, SearchArea, SignalModel
+from groundstation.localization.regression import Evidence, Observations, angle_log_likelihood, whiten
 from groundstation.tracking.settings import TrackingSettings
 
 _COLUMNS = 13
@@ -333,17 +328,18 @@ class Belief:
         rows = whiten(observations, 0, links, self._settings.correlation_m, self._model)
         parts: list[Evidence] = []
 
-        def evaluate(mesh: Mesh) -> FloatArray:
+        def evaluate(mesh: Mesh, _: IntArray) -> tuple[FloatArray, float]:
             part = Evidence.empty(mesh.count, links, shares)
             part.add(observations, rows, mesh.center_enu_m)
             part.angle_log += angle_log_likelihood(
                 observations, 0, mesh.center_enu_m, mesh.half_m, self._model
             )
             parts.append(part)
-            return part.log_likelihood(self._exponents, self._settings.noise_degrees)
+            return part.log_likelihood(self._exponents, self._settings.noise_degrees), 1.0
 
-        self._mesh, self._log_likelihood, place = refine(self._area, evaluate, self._mesh_settings)
-        self._evidence = Evidence.gathered(parts, place)
+        found = refine(self._area, evaluate, self._mesh_settings)
+        self._mesh, self._log_likelihood = found.mesh, found.log_likelihood
+        self._evidence = Evidence.gathered(parts, found.place)
         # Where the number of boxes is used up, laying them anew would not help until the belief moves.
         self._remesh_mass = max(self._settings.remesh_mass, 2.0 * self._heaviest())
 

@@ -3,18 +3,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.stats import multivariate_normal
 
 from groundstation.localization.likelihood import (
-    Evidence,
     ExponentGrid,
-    Observations,
-    angle_log_likelihood,
+    bearing_density,
     mixture_variance_db2,
     path_loss_db,
-    whiten,
 )
 from groundstation.localization.problem import SignalModel
+from groundstation.localization.regression import Evidence, Observations, angle_log_likelihood, whiten
 
 MODEL = SignalModel(receiver_offset_std_db=1.5, los_exponent_std=0.2)
 
@@ -51,7 +50,12 @@ def dense_log_likelihood(seen: Observations, x: np.ndarray, grid: ExponentGrid, 
     shadow = np.outer(p, p) * MODEL.rss_std_db**2 + np.outer(1 - p, 1 - p) * MODEL.nlos_rss_std_db**2
     covariance = shadow * np.exp(-gap / 25.0) * np.where(same, 1.0, shared)
     total = p * MODEL.rss_std_db**2 + (1 - p) * MODEL.nlos_rss_std_db**2
-    own = total - np.diag(shadow) + mixture_variance_db2(p, MODEL) + seen.white_variance_db2
+    own = (
+        total
+        - np.diag(shadow)
+        + mixture_variance_db2(p, MODEL, MODEL.nlos_bias_max_db)
+        + seen.white_variance_db2
+    )
     covariance += np.diag(own) + MODEL.transmit_power_std_db**2
     offset = np.sqrt(MODEL.receiver_offset_std_db**2 + (1 - p) * MODEL.nlos_bias_max_db**2 / 12)
     covariance += np.outer(offset, offset) * same
@@ -197,3 +201,24 @@ def test_one_bearing_among_liars_claims_less_than_one_among_witnesses() -> None:
     assert claim(liars, (0.5,)) > 4.0
     assert claim(liars, model.los_shares) < claim(liars, (0.5,)) - 2.0
     assert claim(witnesses, model.los_shares) > 50.0
+
+
+@pytest.mark.parametrize(
+    ("width", "tolerance"), [(0.3, 0.01), (1.0, 0.01), (1.4, 0.01), (3.0, 0.12), (10.0, 0.5)]
+)
+def test_boxes_of_any_width_add_up_to_the_ray(width: float, tolerance: float) -> None:
+    """Density of a bearing times the volume, summed over boxes from 0.3 to 10 σ wide.
+
+    Up to 1.4 σ, where the centres alone are taken, the integral to 1 %; of wide boxes enough to be split.
+    """
+    std, away = 0.02, 80.0
+    cell = width * std * away
+    count = int(np.ceil(60.0 / cell)) | 1
+    steps = (np.arange(count) - count // 2 + 0.37) * cell
+    north, up = np.meshgrid(steps, steps, indexing="ij")
+    offset = np.stack([np.full(north.size, away), north.ravel(), up.ravel()])
+    spread = np.full(north.size, cell**2 / 12.0)
+    density = bearing_density(offset, spread, spread, (0.0, 0.0), (std, std))
+    # d(azimuth) d(elevation) = dy dz / away² on the ray.
+    total = density.sum() * cell**2 / away**2
+    assert abs(total - 1.0) < tolerance

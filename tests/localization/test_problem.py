@@ -5,7 +5,8 @@ import pytest
 import shapely
 
 from groundstation.domain.errors import InputError
-from groundstation.localization.problem import Links, SearchArea, SignalModel, check_links
+from groundstation.localization import locate
+from groundstation.localization.problem import Links, SearchArea, SignalModel
 
 
 def links(count: int = 4, **changed: object) -> Links:
@@ -33,7 +34,7 @@ def links(count: int = 4, **changed: object) -> Links:
 )
 def test_what_cannot_be_located_is_said(bad: Links, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        check_links(bad, 4, "adaptive")
+        locate(bad, SearchArea(np.zeros(2), 100.0, 0.0, 20.0), "lsre-socp")
 
 
 def test_shapes_must_agree() -> None:

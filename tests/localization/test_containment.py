@@ -4,24 +4,24 @@ import numpy as np
 import pytest
 import shapely
 
+from groundstation.localization.containment import containment, raster, region_rings
 from groundstation.localization.mesh import MeshSettings, masses, refine
 from groundstation.localization.problem import SearchArea
-from groundstation.tracking.containment import containment, raster, region_rings
 
 AREA = SearchArea(np.zeros(2), 100.0, 0.0, 20.0)
 
 
 def gaussian(std: float, *centers: tuple[float, float]):
-    def evaluate(mesh: object) -> np.ndarray:
+    def evaluate(mesh: object, _: object) -> tuple[np.ndarray, float]:
         spread = std**2 + mesh.half_m[:, 0] ** 2 / 3
         parts = [
             -0.5 * np.square(mesh.center_enu_m[:, :2] - np.array(center)).sum(axis=1) / spread
             for center in centers
         ]
-        return np.logaddexp.reduce(parts, axis=0) - np.log(spread)
+        return (np.logaddexp.reduce(parts, axis=0) - np.log(spread)), 1.0
 
-    mesh, value, _ = refine(AREA, evaluate, MeshSettings(split_mass=0.002, maximum_cells=4000))
-    return mesh, masses(value, mesh)
+    found = refine(AREA, evaluate, MeshSettings(split_mass=0.002, maximum_cells=4000))
+    return found.mesh, masses(found.log_likelihood, found.mesh)
 
 
 @pytest.mark.parametrize("std", [2.0, 12.0])
