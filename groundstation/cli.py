@@ -252,6 +252,26 @@ def train(
     epochs: Annotated[
         int, typer.Option(min=1, help="At most this many; it stops when it learns no more.")
     ] = 40,
+    also: Annotated[
+        list[Path] | None, typer.Option("--also", metavar="FILE", help="Further data to train on.")
+    ] = None,
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="A trained model to go on from; with few logs the shipped one, unless told.",
+        ),
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option(min=1, help="Train so many times; the card tells of each, the best is kept.")
+    ] = 1,
+    learning_curve: Annotated[
+        bool, typer.Option("--learning-curve", help="Train on parts of the data too; takes longer.")
+    ] = False,
+    learning_rate: Annotated[
+        float,
+        typer.Option(min=1e-7, max=1.0, help="Of the first epochs; less to go on from a model."),
+    ] = 2e-3,
     evaluate: Annotated[
         list[str] | None,
         typer.Option("--evaluate", metavar="TITLE=FILE", help="Further data that the card gives figures on."),
@@ -269,9 +289,27 @@ def train(
     report = run_training(
         data,
         out,
-        options=TrainingOptions(seed=seed, epochs=epochs),
+        options=TrainingOptions(
+            seed=seed,
+            epochs=epochs,
+            seeds=seeds,
+            start=start,
+            learning_curve=learning_curve,
+            learning_rate=learning_rate,
+        ),
+        also=also or [],
         evaluate=further,
-        command=f"groundstation train --data {data.name} --out {out.name} --seed {seed} --epochs {epochs}",
+        command=" ".join(
+            [
+                f"groundstation train --data {data.name}",
+                *(f"--also {path.name}" for path in also or []),
+                *([f"--start {start.name}"] if start else []),
+                f"--out {out.name} --seed {seed} --epochs {epochs}",
+                *([f"--seeds {seeds}"] if seeds > 1 else []),
+                *(["--learning-curve"] if learning_curve else []),
+                *([f"--learning-rate {learning_rate}"] if learning_rate != 2e-3 else []),
+            ]
+        ),
         progress=ConsoleProgress(sys.stderr),
     )
     test = report.test

@@ -164,7 +164,7 @@ class ClusterChannel:
             tap = np.rint(centre).astype(np.int64)[:, None] + np.arange(-reach, reach + 1)
         else:
             tap = np.broadcast_to(np.arange(taps), (len(amplitude), taps))
-        pulses = _raised_cosine((tap - centre[:, None]) * (tap_spacing_ns * 1e-9 * bandwidth_hz))
+        pulses = raised_cosine((tap - centre[:, None]) * (tap_spacing_ns * 1e-9 * bandwidth_hz))
         inside = (tap >= 0) & (tap < taps)
         contribution = (pulses * amplitude[:, None])[inside]
         response = np.bincount(tap[inside], weights=contribution.real, minlength=taps) + 1j * np.bincount(
@@ -241,7 +241,7 @@ def band_limited_noise(
     return coloured
 
 
-def _raised_cosine(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def raised_cosine(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Raised-cosine pulse, peak 1 at x = 0, x in units of 1/bandwidth (Nyquist's first criterion)."""
     denominator = 1 - (2 * ROLL_OFF * x) ** 2
     singular = np.abs(denominator) < 1e-9

@@ -1,8 +1,9 @@
 """From the network's logit to a probability one may bet on.
 
-Why: localisation weighs links by P(line of sight) as it is. Temperature scaling (Guo et al.,
-ICML 2017) is one number fitted on links held out from training; it cannot change the order of
-links, so that no figure of merit but calibration moves.
+Why: localisation weighs links by P(line of sight) as it is. Scale and offset of the logit
+(Platt 1999; temperature scaling of Guo et al., ICML 2017, with an offset) are fitted on links
+held out from training; neither can change the order of links, so that no figure of merit but
+calibration and the balance of the two mistakes moves.
 """
 
 from __future__ import annotations
@@ -12,35 +13,61 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+_TEMPERATURE_MIN, _TEMPERATURE_MAX = 0.05, 20.0
+
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """P(line of sight) = σ(logit / temperature)."""
+    """P(line of sight) = σ(logit / temperature + bias)."""
 
     temperature: float = 1.0
     """> 1 softens an overconfident network."""
+    bias: float = 0.0
+    """> 0 where the network says LOS too rarely."""
 
     def probability(self, logit: NDArray[np.float64]) -> NDArray[np.float64]:
         """Elementwise, without overflow."""
-        return 0.5 * (1 + np.tanh(0.5 * logit / self.temperature))
+        return 0.5 * (1 + np.tanh(0.5 * (logit / self.temperature + self.bias)))
 
 
-def fit_temperature(logit: NDArray[np.float64], is_los: NDArray[np.bool_]) -> Calibration:
-    """The temperature in 0.05…20 that minimises the cross-entropy of (N,) logits (golden section)."""
-    sign = np.where(is_los, 1.0, -1.0)
+def fit_calibration(
+    logit: NDArray[np.float64], is_los: NDArray[np.bool_], weight: NDArray[np.float64] | None = None
+) -> Calibration:
+    """Temperature (0.05…20) and bias that minimise the weighted cross-entropy of (N,) logits.
 
-    def loss(log_temperature: float) -> float:
-        return float(np.mean(np.logaddexp(0, -sign * logit / np.exp(log_temperature))))
+    Newton's method on slope and offset, with so much of a prior (a slope of one, no offset,
+    each as sure as one link) that separable or few links do not run away.
+    """
+    weight = np.ones(len(logit)) if weight is None else weight
+    design = np.stack([logit, np.ones(len(logit))])
+    prior = np.array([1.0, 0.0])
 
-    low, high = float(np.log(0.05)), float(np.log(20.0))
-    ratio = (np.sqrt(5) - 1) / 2
-    for _ in range(60):
-        left, right = high - ratio * (high - low), low + ratio * (high - low)
-        if loss(left) < loss(right):
-            high = right
-        else:
-            low = left
-    return Calibration(temperature=float(np.exp(0.5 * (low + high))))
+    def loss(slope: float, offset: float) -> float:
+        sign = np.where(is_los, 1.0, -1.0)
+        value = weight @ np.logaddexp(0, -sign * (slope * logit + offset))
+        return float(value + 0.5 * ((slope - 1) ** 2 + offset**2))
+
+    parameters = prior.copy()
+    for _ in range(100):
+        probability = Calibration(1.0, 0.0).probability(parameters @ design)
+        gradient = design @ (weight * (probability - is_los)) + (parameters - prior)
+        curvature = (design * (weight * probability * (1 - probability))) @ design.T + np.eye(2)
+        step = np.linalg.solve(curvature, gradient)
+        size = 1.0
+        while size > 1e-6 and loss(*(parameters - size * step)) > loss(*parameters):
+            size *= 0.5
+        parameters = parameters - size * step
+        if float(np.abs(size * step).max()) < 1e-9:
+            break
+    temperature = float(np.clip(1 / max(parameters[0], 1e-9), _TEMPERATURE_MIN, _TEMPERATURE_MAX))
+    return Calibration(temperature=temperature, bias=float(parameters[1]))
+
+
+def even_weights(is_los: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(N,) weights under which LOS and NLOS are equally frequent; they sum to N."""
+    los = max(int(np.count_nonzero(is_los)), 1)
+    nlos = max(int(np.count_nonzero(~is_los)), 1)
+    return np.where(is_los, 0.5 * len(is_los) / los, 0.5 * len(is_los) / nlos)
 
 
 def expected_calibration_error(

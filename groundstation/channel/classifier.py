@@ -9,6 +9,7 @@ so that a link's answer does not depend on its company.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,12 @@ METADATA_FILE = "metadata.json"
 METADATA_FORMAT = 1
 
 
+class Named(Protocol):
+    """An output of a network."""
+
+    name: str
+
+
 class Session(Protocol):
     """The one call of ONNX Runtime that is used (it ships no types)."""
 
@@ -42,6 +49,9 @@ class Session(Protocol):
         self, output_names: list[str], input_feed: dict[str, NDArray[np.float32]]
     ) -> list[NDArray[np.float32]]:
         """Outputs by name."""
+
+    def get_outputs(self) -> Sequence[Named]:
+        """What the network gives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +64,10 @@ class ModelMetadata:
     preprocessing_version: int
     los_threshold: float
     """Operating threshold on P(line of sight) that the card's confusion is given at."""
+    bias: float = 0.0
+    """Of the calibration, with the temperature."""
+    novelty_max: float = math.inf
+    """Links more unlike the training data than this are ``unknown``; infinite where it was not set."""
 
     @classmethod
     def read(cls, path: Path) -> ModelMetadata:
@@ -66,6 +80,8 @@ class ModelMetadata:
                 temperature=float(tree["temperature"]),
                 preprocessing_version=int(tree["preprocessing_version"]),
                 los_threshold=float(tree["los_threshold"]),
+                bias=float(tree.get("bias", 0.0)),
+                novelty_max=float(tree.get("novelty_max", math.inf)),
             )
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror}; a model's folder holds it") from error
@@ -80,6 +96,8 @@ class ModelMetadata:
             )
         if not (np.isfinite(metadata.temperature) and metadata.temperature > 0):
             raise InputError(f"{path}: temperature is {metadata.temperature}; it must be positive")
+        if not np.isfinite(metadata.bias) or not metadata.novelty_max > 0:
+            raise InputError(f"{path}: bias {metadata.bias} must be finite, novelty_max positive")
         return metadata
 
 
@@ -89,7 +107,8 @@ class Classifier:
     def __init__(self, session: Session, metadata: ModelMetadata, settings: ChannelSettings) -> None:
         self._session = session
         self._settings = settings
-        self._calibration = Calibration(metadata.temperature)
+        self._outputs = [output.name for output in session.get_outputs()]
+        self._calibration = Calibration(metadata.temperature, metadata.bias)
         self.metadata = metadata
         self.version = metadata.version
         """Names the trained model."""
@@ -100,7 +119,8 @@ class Classifier:
         """One verdict a link, in order; each link is its captures, oldest first.
 
         A capture that cannot be judged is left out (the verdict's reason says so); a link of
-        which none is left is ``unknown`` and gets ``prior`` (the settings' where None).
+        which none is left, or which is unlike anything the network was trained on, is
+        ``unknown`` and gets ``prior`` (the settings' where None).
         """
         prior = self._settings.prior_los_probability if prior is None else prior
         inputs: list[NDArray[np.float32] | None] = []
@@ -111,6 +131,7 @@ class Classifier:
             reasons.append(reason)
 
         probability = np.full(len(inputs), prior)
+        known = [stacked is not None for stacked in inputs]
         by_packets: dict[int, list[int]] = {}
         for index, stacked in enumerate(inputs):
             if stacked is not None:
@@ -120,20 +141,39 @@ class Classifier:
             for start in range(0, len(members), self._settings.batch_max):
                 batch = members[start : start + self._settings.batch_max]
                 tensor = np.stack([cast("NDArray[np.float32]", inputs[index]) for index in batch])
-                probability[batch] = np.round(self._calibration.probability(self.logits(tensor)), 6)
+                logit, novelty = self.judge(tensor)
+                answers = np.round(self._calibration.probability(logit), 6)
+                for index, answer, distance in zip(batch, answers, novelty, strict=True):
+                    if distance <= self.metadata.novelty_max:
+                        probability[index] = answer
+                    else:
+                        known[index] = False
+                        reasons[index] = (
+                            f"unlike anything seen in training: novelty {distance:.2f}, "
+                            f"at most {self.metadata.novelty_max:.2f}"
+                        )
         return [
             Verdict(
                 los_probability=float(probability[index]),
-                status=VerdictStatus.UNKNOWN if stacked is None else VerdictStatus.CLASSIFIED,
+                status=VerdictStatus.CLASSIFIED if known[index] else VerdictStatus.UNKNOWN,
                 reason=reasons[index],
-                captures_used=0 if stacked is None else len(stacked),
+                captures_used=len(stacked) if stacked is not None and known[index] else 0,
             )
             for index, stacked in enumerate(inputs)
         ]
 
     def logits(self, tensor: NDArray[np.float32]) -> NDArray[np.float64]:
         """(links, packets, channels, bins) → (links,) uncalibrated logits."""
-        return self._session.run(["logit"], {"packets": tensor})[0].astype(np.float64).reshape(-1)
+        return self.judge(tensor)[0]
+
+    def judge(self, tensor: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(links, packets, channels, bins) → (links,) logits and (links,) novelty (0 where not given)."""
+        outputs = self._session.run(self._outputs, {"packets": tensor})
+        found = dict(zip(self._outputs, outputs, strict=True))
+        logit = found["logit"].astype(np.float64).reshape(-1)
+        if "novelty" not in found:
+            return logit, np.zeros(len(logit))
+        return logit, found["novelty"].astype(np.float64).reshape(-1)
 
     def _link_input(self, link: Sequence[ChannelCapture]) -> tuple[NDArray[np.float32] | None, str]:
         if not link:
@@ -169,6 +209,8 @@ def load_classifier(path: Path | str | None = None, *, settings: ChannelSettings
     shape = session.get_inputs()[0].shape if session.get_inputs() else []
     if list(shape[2:]) != [INPUT_CHANNELS, INPUT_BINS]:
         raise InputError(f"{model} takes {shape}; (links, packets, {INPUT_CHANNELS}, {INPUT_BINS}) is needed")
+    if "logit" not in {output.name for output in session.get_outputs()}:
+        raise InputError(f"{model} gives no output named logit")
     return Classifier(cast("Session", session), metadata, settings or ChannelSettings())
 
 

@@ -36,6 +36,8 @@ HINT_TAPS = 16
 """How far from a sensor's first-path index the leading edge is looked for."""
 
 _TAIL_EDGES = np.rint(np.geomspace(FINE_TAPS, TAIL_END_TAPS, TAIL_BINS + 1)).astype(np.int64)
+TAIL_TAPS = np.diff(_TAIL_EDGES)
+"""(TAIL_BINS,) taps of each tail bin."""
 _BIN_TAPS = np.concatenate([np.arange(-LEAD_TAPS, FINE_TAPS), 0.5 * (_TAIL_EDGES[:-1] + _TAIL_EDGES[1:] - 1)])
 """(INPUT_BINS,) centre of each bin, taps after the first path."""
 
@@ -115,7 +117,7 @@ def _check(magnitude: NDArray[np.float64], tap_spacing_ns: float, settings: Chan
         raise UnusableCaptureError("constant: every tap is the same")
     if _is_saturated(magnitude, peak):
         raise UnusableCaptureError("saturated: too many taps at full scale")
-    if _is_noise(magnitude):
+    if settings.reject_noise and _is_noise(magnitude):
         raise UnusableCaptureError("all noise: no path stands out")
 
 

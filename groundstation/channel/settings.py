@@ -19,5 +19,7 @@ class ChannelSettings:
     """Newest captures of a link that are looked at."""
     taps_min: int = 16
     """Fewer taps than this are no channel response."""
+    reject_noise: bool = True
+    """Whether a capture that looks like noise alone is left out (a study judges every one)."""
     batch_max: int = 256
     """Links per run of the network; bounds memory."""

@@ -43,7 +43,7 @@ def test_shipped_model_is_small_and_named(classifier: Classifier) -> None:
 
 
 def test_clear_channels_are_told_apart(classifier: Classifier, make_capture: MakeCapture) -> None:
-    """UWB-like pulses, four captures: LOS above NLOS in the mean by a wide margin."""
+    """UWB-like pulses, four captures: nearly every LOS link above nearly every NLOS link, and far above."""
     verdicts = classifier.classify(
         [
             [make_capture(seed=10 * link + p, taps=64, first_path=8, los=link % 2 == 0) for p in range(4)]
@@ -52,7 +52,8 @@ def test_clear_channels_are_told_apart(classifier: Classifier, make_capture: Mak
     )
     probability = np.array([verdict.los_probability for verdict in verdicts])
     assert {verdict.status for verdict in verdicts} == {VerdictStatus.CLASSIFIED}
-    assert probability[::2].mean() - probability[1::2].mean() > 0.4
+    assert np.mean(probability[::2, None] > probability[None, 1::2]) > 0.99
+    assert probability[::2].mean() - probability[1::2].mean() > 0.3
 
 
 def test_a_links_answer_does_not_depend_on_its_company(

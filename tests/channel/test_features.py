@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from groundstation.channel.features import FEATURE_NAMES, features
+from groundstation.channel.features import FEATURE_NAMES, FIT_NAMES, features, moment_k
 
 
 def test_against_scipy_on_normalised_magnitudes() -> None:
@@ -23,15 +23,37 @@ def test_against_scipy_on_normalised_magnitudes() -> None:
     assert len(FEATURE_NAMES) == 6
 
 
+def test_k_is_the_strongest_tap_over_all_others() -> None:
+    magnitude = np.zeros(64)
+    magnitude[10], magnitude[20], magnitude[30] = 2.0, 1.0, 0.5
+    assert features(magnitude)[5] == pytest.approx(4 / 1.25)
+
+
 @pytest.mark.parametrize("k", [1.0, 5.0, 20.0])
-def test_rician_k_of_rician_magnitudes(k: float) -> None:
-    """Two pins hold the range to 0 and 1·max, so that normalisation is a scale only."""
+def test_moment_k_of_rician_samples(k: float) -> None:
     rng = np.random.default_rng(int(k))
-    taps = 200_000
-    scatter = (rng.standard_normal(taps) + 1j * rng.standard_normal(taps)) * np.sqrt(0.5)
+    scatter = (rng.standard_normal(200_000) + 1j * rng.standard_normal(200_000)) * np.sqrt(0.5)
+    assert moment_k(np.abs(np.sqrt(k) + scatter)) == pytest.approx(k, rel=0.05)
+
+
+@pytest.mark.parametrize("k", [0.0, 6.0])
+def test_goodness_of_fit_is_the_kolmogorov_smirnov_distance(k: float) -> None:
+    """Against SciPy's test on the same fitted distributions; a sample of its own kind fits."""
+    rng = np.random.default_rng(3)
+    scatter = (rng.standard_normal(4000) + 1j * rng.standard_normal(4000)) * np.sqrt(0.5)
     magnitude = np.abs(np.sqrt(k) + scatter)
-    magnitude[0] = 0
-    assert features(magnitude)[5] == pytest.approx(k, rel=0.05)
+    magnitude[0] = 0.0
+    scaled = magnitude / magnitude.max()
+    rayleigh, rician = features(magnitude, goodness_of_fit=True)[6:]
+    sigma = np.sqrt(np.mean(scaled**2) / 2)
+    assert rayleigh == pytest.approx(stats.kstest(scaled, stats.rayleigh(scale=sigma).cdf).statistic)
+    fitted = float(moment_k(scaled))
+    sigma = np.sqrt(np.mean(scaled**2) / (2 * (1 + fitted)))
+    theirs = stats.kstest(scaled, stats.rice(np.sqrt(2 * fitted), scale=sigma).cdf).statistic
+    assert rician == pytest.approx(theirs, rel=1e-6)
+    assert rician < 0.02
+    assert (rayleigh < 0.02) == (k == 0)
+    assert len(FIT_NAMES) == 2
 
 
 def test_batches_and_constants() -> None:

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from groundstation.channel import load_classifier
+from groundstation.channel import ChannelCapture, load_classifier
 from groundstation.channel.training import TrainingOptions, TrainingProgress, TrainingReport, train
+from groundstation.channel.training.data import read_links
 from groundstation.channel.training.progress import ConsoleProgress
+from groundstation.channel.training.run import merged
 from groundstation.domain.errors import InputError, ResourceError
 
 pytestmark = [
@@ -41,11 +49,85 @@ def test_learns_what_is_easy_and_writes_a_card(
     assert 70_000 <= report.parameters <= 74_000
     assert {progress.stage for progress in seen} == {"reading", "training", "evaluating"}
     assert sum(progress.stage == "training" for progress in seen) == report.epochs == 6
-    assert sorted(path.name for path in report.out.iterdir()) == ["card.md", "metadata.json", "model.onnx"]
+    assert sorted(path.name for path in report.out.iterdir()) == [
+        "card.json",
+        "card.md",
+        "metadata.json",
+        "model.onnx",
+        "weights.npz",
+    ]
     card = (report.out / "card.md").read_text(encoding="utf-8")
     assert report.version in card
     assert "| again, first capture only | 80 |" in card
     assert (report.out / "model.onnx").stat().st_size < 1_000_000
+
+
+def test_the_card_is_json_too_with_confusion_and_intervals(
+    trained: tuple[TrainingReport, list[TrainingProgress]],
+) -> None:
+    report, _ = trained
+    card = json.loads((report.out / "card.json").read_text(encoding="utf-8"))
+    assert card["version"] == report.version
+    assert len(card["data_sha256"]) == 64
+    held_out = card["evaluations"][0]
+    assert held_out["figures"]["auc"] == pytest.approx(report.test.auc)
+    assert sum(held_out["confusion"].values()) == held_out["figures"]["links"]
+    assert held_out["auc_interval"]["low"] <= report.test.auc <= held_out["auc_interval"]["high"]
+    assert [one["seed"] for one in card["seeds"]] == [3]
+    assert card["start"] == "random weights"
+
+
+def test_what_is_unlike_the_training_data_is_unknown_with_a_reason(
+    trained: tuple[TrainingReport, list[TrainingProgress]], make_capture: Callable[..., ChannelCapture]
+) -> None:
+    """Nanoseconds told in femtoseconds; responses of the training's kind stay classified."""
+    classifier = load_classifier(trained[0].out)
+    assert np.isfinite(classifier.metadata.novelty_max)
+    ordinary = [[make_capture(seed=s, taps=128, first_path=20, los=s % 2 == 0)] for s in range(100)]
+    assert sum(v.status == "unknown" for v in classifier.classify(ordinary)) <= 3
+    strange = make_capture(taps=128, first_path=20, tap_spacing_ns=1e6)
+    verdict = classifier.classify([[strange]], prior=0.4)[0]
+    assert verdict.status == "unknown"
+    assert verdict.reason.startswith("unlike anything seen in training: novelty ")
+    assert verdict.los_probability == 0.4
+    assert verdict.captures_used == 0
+
+
+def test_weights_are_gone_on_from(
+    trained: tuple[TrainingReport, list[TrainingProgress]], tiny_npz: Path, tmp_path: Path
+) -> None:
+    start = trained[0].out
+    again = train(
+        tiny_npz, tmp_path / "out", options=replace(OPTIONS, epochs=1, learning_rate=1e-6, start=start)
+    )
+    assert again.test.auc > 0.95
+    assert trained[0].version in (again.out / "card.md").read_text(encoding="utf-8")
+    with pytest.raises(InputError, match="a folder that training wrote is needed"):
+        train(tiny_npz, tmp_path / "out", options=replace(OPTIONS, start=tmp_path))
+
+
+def test_several_files_are_trained_on_as_one(tiny_npz: Path) -> None:
+    one = read_links(tiny_npz)
+    both = merged([one, one])
+    assert len(both) == 160
+    assert len(np.unique(both.group)) == 2 * len(np.unique(one.group))
+    last = np.array([159])
+    np.testing.assert_array_equal(
+        both.batch(last, 3, np.zeros(1, int)), one.batch(last - 80, 3, np.zeros(1, int))
+    )
+
+
+def test_several_seeds_are_each_told_and_the_best_is_kept(tiny_npz: Path, tmp_path: Path) -> None:
+    options = replace(OPTIONS, epochs=2, seeds=2, learning_curve=True)
+    report = train(tiny_npz, tmp_path, options=options)
+    card = json.loads((tmp_path / "card.json").read_text(encoding="utf-8"))
+    losses = {one["seed"]: one["validation_loss"] for one in card["seeds"]}
+    assert set(losses) == {3, 4}
+    kept = json.loads((tmp_path / "metadata.json").read_text(encoding="utf-8"))["seed"]
+    assert losses[kept] == min(losses.values())
+    assert report.epochs == 4
+    assert [point["groups"] for point in card["learning_curve"]] == [3, 9, 28]
+    assert "AUC over seeds" in (tmp_path / "card.md").read_text(encoding="utf-8")
 
 
 def test_exported_network_is_the_trained_one(
@@ -69,12 +151,13 @@ def test_exported_network_is_the_trained_one(
         with torch.no_grad():
             expected = model(torch.from_numpy(tensor)).numpy()
         np.testing.assert_allclose(classifier.logits(tensor), expected, atol=1e-5)
+    notes = (tmp_path / "model.onnx").read_bytes()
+    assert not any(word in notes for word in (b".py", b"/home", b"/work", b"site-packages"))
 
 
 def test_resuming_gives_the_uninterrupted_network(tiny_npz: Path, tmp_path: Path) -> None:
     import torch
 
-    from groundstation.channel.training.data import read_links
     from groundstation.channel.training.fit import FitOptions, fit
 
     data = read_links(tiny_npz)
@@ -120,6 +203,40 @@ def test_resuming_gives_the_uninterrupted_network(tiny_npz: Path, tmp_path: Path
     assert run("stopped.npz", fingerprint="that")[1] == [1, 2, 3, 4]
     (tmp_path / "broken.npz").write_bytes(b"garbage")
     assert run("broken.npz")[1] == [1, 2, 3, 4]
+
+
+def test_a_killed_training_goes_on_where_it_was(tiny_npz: Path, tmp_path: Path) -> None:
+    """A real process, killed after its first epochs: the second start does only the rest."""
+    program = (
+        "import sys; from pathlib import Path; from groundstation.channel.training import *; "
+        "options = TrainingOptions(epochs=6, batch_links=16, seed=3); "
+        "train(Path(sys.argv[1]), Path(sys.argv[2]), options=options, "
+        "progress=lambda p: print(p.stage, p.done, flush=True))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, str(tiny_npz), str(tmp_path / "out")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert process.stdout is not None
+    with process.stdout as lines:
+        for line in lines:
+            if line.startswith("training 3"):
+                process.kill()
+                break
+    assert process.wait() == -signal.SIGKILL
+    epochs: list[int] = []
+
+    def note(progress: TrainingProgress) -> None:
+        if progress.stage == "training":
+            epochs.append(progress.done)
+
+    report = train(tiny_npz, tmp_path / "out", options=OPTIONS, progress=note)
+    assert epochs[0] > 3
+    assert epochs[-1] == 6
+    assert report.test.auc > 0.95
+    assert list(report.out.glob("checkpoint*")) == []
 
 
 def test_wrong_use_is_said_before_any_work(tiny_npz: Path, tmp_path: Path) -> None:

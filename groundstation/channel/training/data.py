@@ -1,55 +1,28 @@
 """Labelled responses from a file → inputs of the network, by link, split by geometry.
 
-Why: what ``sim-sitl dataset`` writes and what a user measured are read alike. Rules kept
-here: everything that can be wrong with a file is said before any work is done; responses
-are read in blocks; links are split by ``log_id`` (a geometry), never by row.
+Why: what ``sim-sitl dataset`` writes and what a user measured are read alike
+(:mod:`groundstation.channel.training.files`). Rules kept here: responses are checked and
+prepared as the service prepares them, block by block; links are split by geometry, never by row.
 """
 
 from __future__ import annotations
 
-import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.channel.capture import ChannelCapture, UnusableCaptureError
+from groundstation.channel.features import FEATURE_NAMES, FIT_NAMES, features
 from groundstation.channel.preprocess import INPUT_BINS, INPUT_CHANNELS, network_input
 from groundstation.channel.settings import ChannelSettings
+from groundstation.channel.training.files import CSV_FIELDS, Blocks, Table, open_file
 from groundstation.domain.errors import InputError
 
-CSV_FIELDS = ("X", "Y", "Z", "Range", "LOS", "AOA", "ZOA", "TotalReceivedPower", "LinkBudget")
-"""The paper's columns before CIR0, CIR1, …"""
-UNKNOWN_SPACING_NS = 1.0
-"""Where a file does not say."""
-_BLOCK_ROWS = 2048
-_MIN_TAPS = 16
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Table:
-    """The columns of a file beside the responses, checked."""
-
-    is_los: NDArray[np.bool_]
-    """(rows,)"""
-    group: NDArray[np.int64]
-    """(rows,) geometry; the row's own number where the file has no ``log_id``."""
-    link: NDArray[np.int64]
-    """(rows,) link: consecutive captures of one geometry."""
-    tap_spacing_ns: NDArray[np.float64]
-    """(rows,)"""
-    window_taps: NDArray[np.int64]
-    """(rows,) taps that hold data."""
-    first_path_index: NDArray[np.float64]
-    """(rows,) NaN = unknown."""
-    bandwidth_hz: NDArray[np.float64]
-    """(rows,) NaN = unknown; for the card's figures only."""
-    grouped: bool
-    """Whether the file has ``log_id``."""
+__all__ = ["CSV_FIELDS", "LinkData", "joined", "read_links", "single_captures", "split_by_group"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +46,9 @@ class LinkData:
     left_out: dict[str, int]
     """Captures that cannot be judged, by reason."""
     grouped: bool
+    """Whether the file tells which rows are of one geometry."""
+    features: NDArray[np.float64] | None = None
+    """(captures, 8) FEATURE_NAMES and FIT_NAMES of the same captures, where asked for."""
 
     def __len__(self) -> int:
         return len(self.first)
@@ -84,15 +60,56 @@ class LinkData:
         return inputs
 
 
-def read_links(path: Path, progress: Callable[[int, int], None] | None = None) -> LinkData:
-    """Read a NPZ or CSV of labelled responses. Raises InputError saying what is wrong."""
-    if not path.is_file():
-        raise InputError(f"{path} is not a file; a NPZ or CSV of labelled responses is needed")
-    if path.suffix.lower() == ".csv":
-        table, blocks = _open_csv(path)
-    else:
-        table, blocks = _open_npz(path)
-    return _preprocess(table, blocks, progress)
+def read_links(
+    path: Path,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    tap_spacing_ns: float | None = None,
+    with_features: bool = False,
+    keep_noise: bool = False,
+) -> LinkData:
+    """Read a NPZ or CSV of labelled responses. Raises InputError saying what is wrong.
+
+    ``tap_spacing_ns`` holds where the file does not say; ``with_features`` adds the statistics
+    that the classic classifiers work on; ``keep_noise`` keeps captures that look like noise
+    alone, which the service does not judge. ``progress(rows done, rows)``.
+    """
+    table, blocks = open_file(path, tap_spacing_ns)
+    return _preprocess(table, blocks, progress, with_features, ChannelSettings(reject_noise=not keep_noise))
+
+
+def single_captures(data: LinkData) -> LinkData:
+    """Every capture a link and a group of its own: the paper's instances, and its split by row."""
+    count = len(data.inputs)
+    link_of = np.repeat(np.arange(len(data)), data.packets)
+    # Captures of a link lie one after another, links in the order of their first ones.
+    return replace(
+        data,
+        first=np.arange(count),
+        packets=np.ones(count, np.int64),
+        is_los=data.is_los[link_of],
+        group=np.arange(count),
+        bandwidth_hz=data.bandwidth_hz[link_of],
+        window_taps=data.window_taps[link_of],
+        grouped=False,
+    )
+
+
+def joined(parts: Sequence[LinkData]) -> LinkData:
+    """The links of several readings of the same geometries (windows of one response), one after another."""
+    lengths = [len(part.inputs) for part in parts]
+    starts = np.cumsum([0, *lengths[:-1]])
+    return LinkData(
+        inputs=np.concatenate([part.inputs for part in parts]),
+        first=np.concatenate([part.first + start for part, start in zip(parts, starts, strict=True)]),
+        packets=np.concatenate([part.packets for part in parts]),
+        is_los=np.concatenate([part.is_los for part in parts]),
+        group=np.concatenate([part.group for part in parts]),
+        bandwidth_hz=np.concatenate([part.bandwidth_hz for part in parts]),
+        window_taps=np.concatenate([part.window_taps for part in parts]),
+        left_out=dict(sum((Counter(part.left_out) for part in parts), Counter())),
+        grouped=all(part.grouped for part in parts),
+    )
 
 
 def split_by_group(
@@ -118,154 +135,16 @@ def split_by_group(
     )
 
 
-def _open_npz(path: Path) -> tuple[Table, Iterator[NDArray[np.float64]]]:
-    if not zipfile.is_zipfile(path):
-        raise InputError(f"{path} is not a NPZ file (a zip archive of arrays); a NPZ or CSV is needed")
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            names = set(archive.files)
-            for needed in ("cir_magnitude", "label"):
-                if needed not in names:
-                    raise InputError(f"{path} has no array '{needed}'; it has {', '.join(sorted(names))}")
-            with zipfile.ZipFile(path) as zipped, zipped.open("cir_magnitude.npy") as member:
-                shape, _, _ = _npy_header(member, path)
-            rows = shape[0]
-            columns = {
-                name: np.asarray(archive[name])
-                for name in (
-                    "label",
-                    "log_id",
-                    "packet",
-                    "tap_spacing_ns",
-                    "window_taps",
-                    "first_path_index",
-                    "bandwidth_hz",
-                )
-                if name in names
-            }
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path} cannot be read as arrays: {error}") from error
-    return _table(columns, rows, shape[1], path), _npz_blocks(path)
-
-
-def _npy_header(member: IO[bytes], path: Path) -> tuple[tuple[int, int], bool, np.dtype[np.generic]]:
-    version = np.lib.format.read_magic(member)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, kind = read(member)
-    if len(shape) != 2 or shape[0] < 1 or shape[1] < _MIN_TAPS:
-        raise InputError(
-            f"{path}: cir_magnitude has shape {shape}; (N, taps) with at least {_MIN_TAPS} taps is needed"
-        )
-    if kind.kind not in "fiu" or fortran:
-        raise InputError(f"{path}: cir_magnitude has type {kind}; real numbers in C order are needed")
-    return (shape[0], shape[1]), fortran, kind
-
-
-def _npz_blocks(path: Path) -> Iterator[NDArray[np.float64]]:
-    with zipfile.ZipFile(path) as zipped, zipped.open("cir_magnitude.npy") as member:
-        (rows, taps), _, kind = _npy_header(member, path)
-        for start in range(0, rows, _BLOCK_ROWS):
-            count = min(_BLOCK_ROWS, rows - start)
-            raw = member.read(count * taps * kind.itemsize)
-            if len(raw) != count * taps * kind.itemsize:
-                raise InputError(f"{path}: cir_magnitude ends after {start} of {rows} rows")
-            yield np.frombuffer(raw, kind).reshape(count, taps).astype(np.float64)
-
-
-def _open_csv(path: Path) -> tuple[Table, Iterator[NDArray[np.float64]]]:
-    try:
-        with path.open(encoding="utf-8") as lines:
-            header = lines.readline().strip().split(",")
-        has_header = not _is_number(header[0])
-        values = np.loadtxt(path, delimiter=",", skiprows=int(has_header), ndmin=2)
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not a CSV of numbers: {error}") from error
-    named = [name.strip().strip('"') for name in header[: len(CSV_FIELDS)]]
-    if has_header and [name.lower() for name in named] != [name.lower() for name in CSV_FIELDS]:
-        raise InputError(
-            f"{path}: the columns begin with {', '.join(named)}; needed: {', '.join(CSV_FIELDS)}"
-        )
-    taps = values.shape[1] - len(CSV_FIELDS)
-    if taps < _MIN_TAPS or not len(values):
-        raise InputError(
-            f"{path} has {max(taps, 0)} CIR columns in {len(values)} rows; at least {_MIN_TAPS} are needed"
-        )
-    columns = {"label": values[:, CSV_FIELDS.index("LOS")]}
-    cir = values[:, len(CSV_FIELDS) :]
-    blocks = (cir[start : start + _BLOCK_ROWS] for start in range(0, len(cir), _BLOCK_ROWS))
-    return _table(columns, len(cir), taps, path), blocks
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _table(columns: Mapping[str, NDArray[np.generic]], rows: int, taps: int, path: Path) -> Table:
-    def column(name: str, default: float) -> NDArray[np.float64]:
-        given = columns.get(name)
-        if given is None:
-            return np.full(rows, default)
-        if given.dtype.kind not in "fiub" or given.shape not in {(), (rows,)}:
-            raise InputError(
-                f"{path}: {name} has shape {given.shape} and type {given.dtype}; ({rows},) numbers are needed"
-            )
-        return np.broadcast_to(given.astype(np.float64), (rows,))
-
-    label = columns["label"]
-    if label.shape != (rows,):
-        raise InputError(f"{path}: label has shape {label.shape}, cir_magnitude {rows} rows; they must agree")
-    if label.dtype.kind == "U":
-        is_los = np.char.upper(np.char.strip(label.astype(np.str_))) == "LOS"
-    elif label.dtype.kind in "fiub":
-        if not np.all(np.isfinite(label.astype(np.float64))):
-            raise InputError(f"{path}: label has NaN; LOS or 1 against everything else is needed")
-        is_los = label.astype(np.float64) == 1
-    else:
-        raise InputError(f"{path}: label has type {label.dtype}; text or numbers are needed")
-    los = int(np.count_nonzero(is_los))
-    if los in {0, rows}:
-        raise InputError(f"{path}: all {rows} labels are {'LOS' if los else 'NLOS'}; both classes are needed")
-
-    spacing = column("tap_spacing_ns", UNKNOWN_SPACING_NS)
-    if not (np.all(np.isfinite(spacing)) and np.all(spacing > 0)):
-        raise InputError(f"{path}: tap_spacing_ns has values that are not positive")
-    window = column("window_taps", taps)
-    if not (np.all(window >= 1) and np.all(window <= taps)):
-        raise InputError(f"{path}: window_taps is outside 1…{taps}")
-    grouped = "log_id" in columns
-    if grouped and columns["log_id"].shape == (rows,):
-        group = np.unique(columns["log_id"], return_inverse=True)[1].astype(np.int64)
-    elif grouped:
-        raise InputError(f"{path}: log_id has shape {columns['log_id'].shape}; ({rows},) is needed")
-    else:
-        group = np.arange(rows)
-    link = np.arange(rows)
-    if "packet" in columns:
-        packet = column("packet", 0)
-        follows = (np.diff(packet) == 1) & (np.diff(group) == 0) & (is_los[1:] == is_los[:-1])
-        link = np.concatenate([[0], np.cumsum(~follows)])
-    return Table(
-        is_los=is_los,
-        group=group,
-        link=link,
-        tap_spacing_ns=spacing,
-        window_taps=window.astype(np.int64),
-        first_path_index=column("first_path_index", np.nan),
-        bandwidth_hz=column("bandwidth_hz", np.nan),
-        grouped=grouped,
-    )
-
-
 def _preprocess(
-    table: Table, blocks: Iterator[NDArray[np.float64]], progress: Callable[[int, int], None] | None
+    table: Table,
+    blocks: Blocks,
+    progress: Callable[[int, int], None] | None,
+    with_features: bool,
+    settings: ChannelSettings,
 ) -> LinkData:
     rows = len(table.is_los)
-    settings = ChannelSettings()
     inputs = np.empty((rows, INPUT_CHANNELS, INPUT_BINS), np.float32)
+    statistics = np.zeros((rows if with_features else 0, len(FEATURE_NAMES) + len(FIT_NAMES)))
     kept: list[int] = []
     left_out: Counter[str] = Counter()
     row = 0
@@ -278,6 +157,7 @@ def _preprocess(
         if np.any(block < 0):
             bad = row + int(np.argmax((block < 0).any(axis=1)))
             raise InputError(f"cir_magnitude is negative, first in row {bad}; magnitudes are needed")
+        before = len(kept)
         for values in block:
             told = float(table.first_path_index[row])
             capture = ChannelCapture(
@@ -292,6 +172,13 @@ def _preprocess(
             else:
                 kept.append(row)
             row += 1
+        if with_features:
+            here = np.array(kept[before:], np.int64)
+            windows = table.window_taps[here]
+            for taps in np.unique(windows):
+                members = np.flatnonzero(windows == taps)
+                chosen = block[here[members] - (row - len(block)), :taps]
+                statistics[before + members] = features(chosen, goodness_of_fit=True)
         if progress is not None:
             progress(row, rows)
     usable = np.array(kept, dtype=np.int64)
@@ -312,4 +199,5 @@ def _preprocess(
         window_taps=table.window_taps[rows_of_links],
         left_out=dict(sorted(left_out.items())),
         grouped=table.grouped,
+        features=statistics[: len(usable)] if with_features else None,
     )

@@ -56,20 +56,25 @@ def fit(
     checkpoint: Path,
     fingerprint: str,
     on_epoch: Callable[[int, float, float], None],
+    start: dict[str, torch.Tensor] | None = None,
 ) -> CnnLstm:
-    """Train a network; the one with the least validation loss comes back, in evaluation mode.
+    """Train a network, from ``start`` on where it is given.
+
+    The one with the least validation loss comes back, in evaluation mode.
 
     ``on_epoch(epoch, training loss, validation loss)``, epochs from 1. ``checkpoint`` is
     written after each epoch and gone on from where ``fingerprint`` (data and options) matches.
     """
     torch.manual_seed(options.seed)
     model = CnnLstm()
+    if start is not None:
+        model.load_state_dict(start)
     optimiser = torch.optim.AdamW(
         model.parameters(), lr=options.learning_rate, weight_decay=options.weight_decay
     )
     best = _Best(math.inf, 0, _copy(model))
-    start = _resume(checkpoint, fingerprint, model, optimiser, best)
-    for epoch in range(start, options.epochs + 1):
+    first = _resume(checkpoint, fingerprint, model, optimiser, best)
+    for epoch in range(first, options.epochs + 1):
         if epoch - best.epoch > options.patience:
             break
         training_loss = _train_epoch(model, optimiser, data, training, options, epoch)
@@ -121,7 +126,7 @@ def _train_epoch(
         skip = rng.integers(0, data.packets[links] - packets + 1)
         batch = torch.from_numpy(data.batch(links, packets, skip))
         if rng.random() < options.crop_probability:
-            batch = _crop(batch, rng)
+            batch = crop(batch, rng)
         progress = (epoch - 1 + number / batches) / options.epochs
         warm_up = min(1.0, (epoch - 1 + (number + 1) / batches) / _WARM_UP_EPOCHS)
         for group in optimiser.param_groups:
@@ -136,12 +141,11 @@ def _train_epoch(
     return total / len(order)
 
 
-def _crop(batch: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
+def crop(batch: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
     """As if the sensor had sent a window only: data and mask outside it become zero."""
     keep = torch.zeros(INPUT_BINS)
-    keep[
-        LEAD_TAPS - int(rng.integers(3, LEAD_TAPS + 1)) : LEAD_TAPS + int(rng.integers(24, FINE_TAPS + 1))
-    ] = 1
+    lead, rest = int(rng.integers(0, LEAD_TAPS + 1)), int(rng.integers(24, FINE_TAPS + 1))
+    keep[LEAD_TAPS - lead : LEAD_TAPS + rest] = 1
     cropped = batch * keep
     cropped[:, :, 2] = batch[:, :, 2]
     return cropped

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TextIO
 
-from groundstation.channel.training.run import TrainingProgress
+from groundstation.channel.training.options import TrainingProgress
 
 _BAR_CELLS = 30
 

@@ -1,58 +1,36 @@
 """One command from a file to a calibrated, exported classifier with its card.
 
 Rule kept here: nothing is trained before the file was read and found sound, and the
-figures of the card come from the exported network through the service's own code.
+figures of the card come from the exported network through the service's own code (from folds
+where the groups are few).
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
+import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from groundstation.channel.calibration import fit_temperature
-from groundstation.channel.classifier import MODEL_FILE, Classifier, load_classifier
-from groundstation.channel.training.card import Evaluation, write_card
+from groundstation.channel.classifier import MODEL_FILE, WEIGHTS_DIR, load_classifier
+from groundstation.channel.training.card import Card, write_card
 from groundstation.channel.training.data import LinkData, read_links, split_by_group
-from groundstation.channel.training.metrics import Figures, figures
+from groundstation.channel.training.evaluation import Evaluation, evaluate, evaluate_splits, judged
+from groundstation.channel.training.metrics import Figures
+from groundstation.channel.training.options import TrainingOptions, TrainingProgress
 from groundstation.domain.errors import InputError, ResourceError
 
-BANDWIDTH_BANDS_MHZ = ((0, 50), (50, 150), (150, 450), (450, 1000))
-CHECKPOINT_FILE = "checkpoint.npz"
+__all__ = ["TrainingOptions", "TrainingProgress", "TrainingReport", "train"]
 
-
-@dataclass(frozen=True, slots=True)
-class TrainingOptions:
-    """How to train."""
-
-    seed: int = 0
-    epochs: int = 40
-    patience: int = 10
-    """Epochs without a better validation loss before stopping."""
-    batch_links: int = 128
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-3
-    crop_probability: float = 0.3
-    """Chance that a batch is cropped to a window round the first path."""
-    shares: tuple[float, float, float] = (0.7, 0.15, 0.15)
-    """Of the groups: training, validation (early stopping, calibration), test."""
-    threads: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingProgress:
-    """Where a training stands; for a progress bar."""
-
-    stage: str
-    """``reading``, ``training`` or ``evaluating``."""
-    done: int
-    total: int
-    detail: str = ""
+NOVELTY_QUANTILE = 0.999
+"""Of the validation links' novelty …"""
+NOVELTY_MARGIN = 1.25
+"""… times this is the most that is not called unlike anything seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +41,7 @@ class TrainingReport:
     version: str
     parameters: int
     epochs: int
-    """Epochs trained, a resumed run's earlier ones not counted."""
+    """Epochs trained (folds, where groups are few), a resumed run's earlier ones not counted."""
     temperature: float
     test: Figures
     evaluations: tuple[Evaluation, ...]
@@ -74,141 +52,178 @@ def train(
     out: Path,
     *,
     options: TrainingOptions | None = None,
+    also: Sequence[Path] = (),
     evaluate: Sequence[tuple[str, Path]] = (),
     command: str | None = None,
     progress: Callable[[TrainingProgress], None] | None = None,
 ) -> TrainingReport:
     """Train, calibrate and export a classifier from ``data`` (NPZ or CSV) into folder ``out``.
 
-    ``evaluate`` lists further files, with titles, that the card gives figures on. An
-    interrupted run with the same file and options goes on at its last epoch. Raises
-    InputError on unusable data, ResourceError where the ``train`` extra is missing.
+    ``also`` lists further files to train on, each with groups of its own; ``evaluate`` lists
+    further files, with titles, that the card gives figures on. An interrupted run with the same
+    files and options goes on at its last epoch or fold. Raises InputError on unusable data,
+    ResourceError where the ``train`` extra is missing.
     """
     options = options or TrainingOptions()
     report = progress or (lambda _: None)
     if out.exists() and not out.is_dir():
         raise InputError(f"--out {out} is a file; a folder is needed")
+    if options.seeds < 1:
+        raise InputError(f"{options.seeds} seeds; at least 1 is needed")
     links = read_links(data, lambda done, total: report(TrainingProgress("reading", done, total)))
-    training, validation, test = split_by_group(links, options.shares, options.seed)
-    others = [(title, path, read_links(path)) for title, path in evaluate]
+    links = merged([links, *(read_links(path) for path in also)])
+    if not is_few(links, options):
+        split_by_group(links, options.shares, options.seed)
+    others = [(title, read_links(path)) for title, path in evaluate]
     for module in ("torch", "onnx", "onnxscript"):
         if importlib.util.find_spec(module) is None:
             raise ResourceError(f"training needs {module}: pip install 'groundstation[train]'")
+    return _train([data, *also], links, out, options, others, command, report)
 
+
+def is_few(data: LinkData, options: TrainingOptions) -> bool:
+    """Whether the groups are so few and pure that folds must do: measured logs."""
+    _, index = np.unique(data.group, return_inverse=True)
+    share = np.bincount(index, weights=data.is_los) / np.bincount(index)
+    pure = np.mean((share == 0) | (share == 1)) >= 0.9
+    enough = min(np.count_nonzero(share > 0.5), np.count_nonzero(share <= 0.5)) >= 2
+    return data.grouped and len(share) < options.few_groups and bool(pure) and bool(enough)
+
+
+def merged(parts: Sequence[LinkData]) -> LinkData:
+    """The links of several files as of one; no group is in two of them."""
+    if len(parts) == 1:
+        return parts[0]
+    captures = np.cumsum([0, *(len(part.inputs) for part in parts)])
+    groups = np.cumsum([0, *(int(part.group.max()) + 1 for part in parts)])
+    return LinkData(
+        inputs=np.concatenate([part.inputs for part in parts]),
+        first=np.concatenate([part.first + n for part, n in zip(parts, captures, strict=False)]),
+        packets=np.concatenate([part.packets for part in parts]),
+        is_los=np.concatenate([part.is_los for part in parts]),
+        group=np.concatenate([part.group + n for part, n in zip(parts, groups, strict=False)]),
+        bandwidth_hz=np.concatenate([part.bandwidth_hz for part in parts]),
+        window_taps=np.concatenate([part.window_taps for part in parts]),
+        left_out=dict(sorted(sum((Counter(part.left_out) for part in parts), Counter()).items())),
+        grouped=all(part.grouped for part in parts),
+    )
+
+
+def _train(
+    data: Sequence[Path],
+    links: LinkData,
+    out: Path,
+    options: TrainingOptions,
+    others: Sequence[tuple[str, LinkData]],
+    command: str | None,
+    report: Callable[[TrainingProgress], None],
+) -> TrainingReport:
     import torch
 
-    from groundstation.channel.training.export import export_onnx, write_metadata
-    from groundstation.channel.training.fit import FitOptions, fit, logits
-    from groundstation.channel.training.model import parameter_count
+    from groundstation.channel.training import export, recipes
+    from groundstation.channel.training.model import WithNovelty, novelty_statistics, parameter_count
 
     torch.set_num_threads(options.threads)
+    few = is_few(links, options)
+    start = options.start or (WEIGHTS_DIR if few else None)
+    state = None if start is None else export.load_weights(start)
     out.mkdir(parents=True, exist_ok=True)
-    fingerprint = _fingerprint(links, options)
-    epochs_trained: list[int] = []
+    recipe = recipes.from_few if few else recipes.from_many
+    trained = recipe(links, options, state, out, _fingerprint(links, options), report)
 
-    def on_epoch(epoch: int, training_loss: float, validation_loss: float) -> None:
-        epochs_trained.append(epoch)
-        detail = f"loss {training_loss:.4f}, validation {validation_loss:.4f}"
-        report(TrainingProgress("training", epoch, options.epochs, detail))
-
-    model = fit(
-        links,
-        training,
-        validation,
-        FitOptions(
-            seed=options.seed,
-            epochs=options.epochs,
-            patience=options.patience,
-            batch_links=options.batch_links,
-            learning_rate=options.learning_rate,
-            weight_decay=options.weight_decay,
-            crop_probability=options.crop_probability,
-        ),
-        out / CHECKPOINT_FILE,
-        fingerprint,
-        on_epoch,
-    )
-    # Calibrated over all numbers of packets that the service will see.
-    counts = [None, 1] if int(links.packets.max()) > 1 else [None]
-    validation_logits = np.concatenate([logits(model, links, validation, count) for count in counts])
-    calibration = fit_temperature(validation_logits, np.tile(links.is_los[validation], len(counts)))
-    model_path = export_onnx(model, out)
+    calibration = trained.calibration
+    if few:
+        network: torch.nn.Module = trained.model
+    else:
+        embedding = recipes.novelty_inputs(trained.model, links, trained.training)
+        network = WithNovelty(trained.model, *novelty_statistics(embedding))
+    model_path = export.export_onnx(network, out)
     version = f"1-{hashlib.sha256(model_path.read_bytes()).hexdigest()[:8]}"
-    write_metadata(
-        out, version=version, temperature=calibration.temperature, los_threshold=0.5, seed=options.seed
-    )
 
+    def write_metadata(novelty_max: float) -> None:
+        export.write_metadata(
+            out,
+            version=version,
+            temperature=calibration.temperature,
+            bias=calibration.bias,
+            los_threshold=0.5,
+            seed=trained.seed,
+            novelty_max=novelty_max,
+        )
+
+    write_metadata(math.inf)
+    export.save_weights(trained.model, out)
     classifier = load_classifier(out)
-    held_out, evaluations = evaluate_splits(classifier, links, test)
+    novelty_max = novelty_rate = math.nan
+    if not few:
+        _, usual = judged(classifier, links, trained.validation, 1)
+        novelty_max = NOVELTY_MARGIN * float(np.quantile(usual, NOVELTY_QUANTILE))
+        novelty_rate = float(np.mean(judged(classifier, links, trained.test)[1] > novelty_max))
+        write_metadata(novelty_max)
+    evaluations = list(trained.evaluations)
+    if len(trained.test):
+        evaluations += evaluate_splits(classifier, links, trained.test)
     report(TrainingProgress("evaluating", 1, 1 + len(others)))
-    for number, (title, _, other) in enumerate(others):
+    for number, (title, other) in enumerate(others):
         everything = np.arange(len(other))
-        evaluations.append(_evaluation(classifier, other, everything, title, None))
+        evaluations.append(evaluate(classifier, other, everything, title, None))
         if int(other.packets.max()) > 1:
-            evaluations.append(_evaluation(classifier, other, everything, f"{title}, first capture only", 1))
+            evaluations.append(evaluate(classifier, other, everything, f"{title}, first capture only", 1))
         report(TrainingProgress("evaluating", 2 + number, 1 + len(others)))
-    result = TrainingReport(
-        out=out,
-        version=version,
-        parameters=parameter_count(model),
-        epochs=len(epochs_trained),
-        temperature=calibration.temperature,
-        test=held_out,
-        evaluations=tuple(evaluations),
-    )
+
+    parameters = parameter_count(trained.model)
+    notes = out / "notes.md"
     write_card(
         out,
-        version=version,
-        parameters=result.parameters,
-        model_bytes=(out / MODEL_FILE).stat().st_size,
-        temperature=calibration.temperature,
-        data_name=data.name,
-        counts=(len(training), len(validation), len(test)),
-        grouped=links.grouped,
-        left_out=links.left_out,
-        options=asdict(options),
-        command=command or f"groundstation train --data {data.name} --out {out.name}",
-        evaluations=evaluations,
+        Card(
+            version=version,
+            parameters=parameters,
+            model_bytes=(out / MODEL_FILE).stat().st_size,
+            temperature=calibration.temperature,
+            bias=calibration.bias,
+            novelty_max=math.inf if few else novelty_max,
+            los_threshold=0.5,
+            data_name=", ".join(path.name for path in data),
+            data_sha256=_sha256(data),
+            start=_named_start(start),
+            groups=len(np.unique(links.group)),
+            split=trained.split,
+            left_out=links.left_out,
+            options={name: value for name, value in asdict(options).items() if name != "start"},
+            command=command or f"groundstation train --data {data[0].name} --out {out.name}",
+            evaluations=evaluations,
+            seeds=trained.seeds,
+            learning_curve=trained.curve,
+            novelty_rate=novelty_rate,
+            notes=notes.read_text(encoding="utf-8") if notes.is_file() else "",
+        ),
     )
-    (out / CHECKPOINT_FILE).unlink(missing_ok=True)
-    return result
+    for checkpoint in out.glob("checkpoint-*.npz"):
+        checkpoint.unlink()
+    return TrainingReport(
+        out=out,
+        version=version,
+        parameters=parameters,
+        epochs=trained.epochs,
+        temperature=calibration.temperature,
+        test=evaluations[0].figures,
+        evaluations=tuple(evaluations),
+    )
 
 
-def evaluate_splits(
-    classifier: Classifier, data: LinkData, links: NDArray[np.int64]
-) -> tuple[Figures, list[Evaluation]]:
-    """Figures on ``links``: over all, by captures, by bandwidth, by window."""
-    overall = _evaluation(classifier, data, links, "held out, all captures of a link", None)
-    result = [overall]
-    if int(data.packets.max()) > 1:
-        result.append(_evaluation(classifier, data, links, "held out, first capture only", 1))
-    for low, high in BANDWIDTH_BANDS_MHZ:
-        inside = (data.bandwidth_hz[links] >= low * 1e6) & (data.bandwidth_hz[links] < high * 1e6)
-        if np.any(inside):
-            title = f"held out, bandwidth {low}–{high} MHz"
-            result.append(_evaluation(classifier, data, links[inside], title, None))
-    for taps in np.unique(data.window_taps[links]):
-        inside = data.window_taps[links] == taps
-        if not np.all(inside):
-            title = f"held out, window of {taps} taps"
-            result.append(_evaluation(classifier, data, links[inside], title, None))
-    return overall.figures, result
+def _named_start(start: Path | None) -> str:
+    if start is None:
+        return "random weights"
+    return f"the weights of model {load_classifier(start).version}"
 
 
-def _evaluation(
-    classifier: Classifier, data: LinkData, links: NDArray[np.int64], title: str, packets: int | None
-) -> Evaluation:
-    """Through the exported network, as the service does it."""
-    count = data.packets[links] if packets is None else np.minimum(data.packets[links], packets)
-    logit = np.empty(len(links))
-    for here in np.unique(count):
-        members = np.flatnonzero(count == here)
-        for start in range(0, len(members), 256):
-            part = members[start : start + 256]
-            logit[part] = classifier.logits(data.batch(links[part], int(here), np.zeros(len(part), np.int64)))
-    probability = 0.5 * (1 + np.tanh(0.5 * logit / classifier.metadata.temperature))
-    is_los = data.is_los[links]
-    return Evaluation(title, figures(probability, is_los), figures(probability, is_los, 0.75))
+def _sha256(paths: Sequence[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
 
 
 def _fingerprint(data: LinkData, options: TrainingOptions) -> str:
