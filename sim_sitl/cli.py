@@ -7,7 +7,6 @@ and 2 for wrong usage.
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +17,7 @@ from sim_sitl.cir_encoding import CirEncoding
 from sim_sitl.endpoints import parse_link
 from sim_sitl.lossy_link import LinkQuality
 from sim_sitl.modes import Flavour
+from sim_sitl.progress import Progress
 from sim_sitl.radio_sensor import SensorSettings
 from sim_sitl.scenario import write_geojson
 from sim_sitl.scenario_file import SHIPPED, load_scenario
@@ -187,19 +187,102 @@ def overlay(
 
 @app.command()
 def dataset(
-    rows: Annotated[int, typer.Option(help="Captures.")],
-    out: Annotated[Path, typer.Option(metavar="FILE.npz")],
+    rows: Annotated[int, typer.Option(help="Captures; the paper has 41,000.")],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="By its suffix: .npz (every column) or .csv (the paper's)."),
+    ],
     seed: SeedOption = 1,
     randomise: Annotated[
         bool,
         typer.Option("--randomise", help="Vary the sounder by link, as the shipped classifier is trained."),
     ] = False,
+    bandwidth_mhz: Annotated[
+        float | None, typer.Option(help="Of the plain kind's sounder; 500 unless told, the paper says 3.")
+    ] = None,
+    tap_spacing_ns: Annotated[
+        float | None,
+        typer.Option(help="1.0016 unless told; with a bandwidth about two taps to 1/bandwidth."),
+    ] = None,
+    taps: Annotated[int, typer.Option(help="Taps of the full response.")] = 1016,
+    packets: Annotated[int, typer.Option(help="Consecutive captures of one geometry.")] = 4,
+    equal_noise: Annotated[
+        bool,
+        typer.Option("--equal-noise", help="Plain kind: noise does not follow from the link budget."),
+    ] = False,
 ) -> None:
-    """Write labelled channel data (a row a capture)."""
-    from sim_sitl.dataset import DatasetOptions, write_dataset
+    """Write labelled channel data (a row a capture), LOS and NLOS in equal parts.
 
-    write_dataset(rows, seed, out, _Progress(), DatasetOptions(randomise=randomise))
+    For example: sim-sitl dataset --rows 41000 --seed 1 --out channels.npz
+    """
+    from sim_sitl.dataset import DatasetOptions, dataset_sounder, write_dataset
+
+    if randomise and (bandwidth_mhz is not None or tap_spacing_ns is not None):
+        raise UsageError("--randomise draws the bandwidth and the tap spacing; leave them out")
+    options = DatasetOptions(
+        dataset_sounder(bandwidth_mhz, tap_spacing_ns, taps), packets, randomise, equal_noise
+    )
+    progress = Progress("rows")
+    try:
+        write_dataset(rows, seed, out, progress, options)
+    finally:
+        progress.end()
     _line(f"{out}: {rows} rows, seed {seed}")
+
+
+@app.command()
+def study(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME",
+            help="table3 (channel classifiers), table4 (every method in each environment), fig3 … fig10, "
+            "hard (where the paper does not look), bandwidth (how much of a channel response to send), "
+            "all (table4, the figures and hard).",
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="Gets NAME.md (the report), NAME.csv, NAME-profile.csv and a PNG a section; files of "
+            "these names are replaced, others left alone.",
+        ),
+    ],
+    trials: Annotated[
+        int, typer.Option(min=1, help="Of each case (table3, bandwidth: rows of data); the paper has 5,000.")
+    ] = 5000,
+    seed: SeedOption = 1,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes on this machine; default: one a core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="Work on the Dask cluster of this scheduler: tcp://HOST:8786."),
+    ] = None,
+    methods: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Only these methods of the study, by name.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress lines.")] = False,
+) -> None:
+    """Make the paper's tables and figures anew: each method beside the paper's figure and the limit.
+
+    The same trials and seed give the same figures, on however many processes or machines.
+
+    For example: sim-sitl study table4 --trials 500 --out table4
+    """
+    from sim_sitl.studies.commands import OWN_KIND, StudyOptions, run_study
+
+    chosen = tuple(part.strip() for part in (methods or "").split(",") if part.strip())
+    progress = Progress("rows" if name in OWN_KIND else "trials")
+    try:
+        files = run_study(
+            StudyOptions(name, trials, seed, out, jobs, scheduler, chosen), None if quiet else progress
+        )
+    finally:
+        progress.end()
+    for path in files:
+        _line(str(path))
 
 
 @app.command("scenario")
@@ -220,24 +303,6 @@ def show_scenario(
         f"{len(world.beacons)} beacons, {len(world.obstacles)} obstacles, "
         f"{world.propagation.nlos_model} when obstructed"
     )
-
-
-class _Progress:
-    """A share on a terminal, a line every few seconds elsewhere."""
-
-    def __init__(self) -> None:
-        self._terminal = sys.stderr.isatty()
-        self._next = time.monotonic()
-
-    def __call__(self, done: int, total: int) -> None:
-        now = time.monotonic()
-        if now < self._next and done < total:
-            return
-        self._next = now + (0.2 if self._terminal else 5.0)
-        end = "\n" if done >= total or not self._terminal else ""
-        start = "\r" if self._terminal else ""
-        sys.stderr.write(f"{start}{done} of {total} rows{end}")
-        sys.stderr.flush()
 
 
 def _line(text: str) -> None:

@@ -79,6 +79,9 @@ def test_a_short_swarm_ends_writes_truth_and_can_be_quiet(
         (("swarm", "--truth", "no/such/folder.json", "--duration", "0"), 1, ("no/such/folder.json",)),
         (("overlay", "none.tlog", "--out", "o.tlog"), 1, ("none.tlog",)),
         (("dataset", "--rows", "0", "--out", "d.npz"), 1, ("--rows is 0",)),
+        (("dataset", "--rows", "8", "--out", "d.xlsx"), 2, ("d.xlsx", ".npz", ".csv")),
+        (("dataset", "--rows", "8", "--out", "none/d.npz"), 1, ("none", "does not exist")),
+        (("dataset", "--rows", "8", "--out", "d.npz", "--randomise", "--bandwidth-mhz", "3"), 2, ("leave",)),
         (("scenario", "bad.toml"), 1, ("bad.toml", "version", "missing")),
     ],
 )
@@ -101,3 +104,8 @@ def test_dataset_runs(tmp_path: Path, sim_sitl: Callable[..., Done]) -> None:
     done = sim_sitl("dataset", "--rows", "8", "--out", "d.npz", "--seed", "2")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "d.npz").exists()
+    paper = ("--bandwidth-mhz", "3", "--tap-spacing-ns", "333", "--taps", "32", "--packets", "1")
+    done = sim_sitl("dataset", "--rows", "8", "--out", "d.csv", *paper)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "d.csv: 8 rows, seed 1\n"
+    assert len((tmp_path / "d.csv").read_text().splitlines()) == 9
