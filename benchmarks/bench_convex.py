@@ -39,6 +39,8 @@ from groundstation.localization.region import Region
 MODEL = SignalModel()
 AREA = SearchArea(np.zeros(2), 100.0, 1.0, 20.0)
 LINKS = 4
+BATCH_SIZES = (1, 3, 10, 30, 100, 300)
+"""A single solve is the cost of calls into NumPy; the curve shows from which batch on it is not."""
 TOLERANCE = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9}
 
 
@@ -252,6 +254,12 @@ def measure(cp: Any, name: str, problems: int, seed: int) -> dict[str, Any]:
     start = np.tile([10.0, -5.0, 9.0], (ours.batch, 1))
     data = numbers(few, region, start[:problems])
     batch_s = least(lambda: ours.solve(many, region, start), 5) / ours.batch
+    curve = {}
+    for size in BATCH_SIZES:
+        some = many.rows(slice(0, size))
+        curve[str(size)] = round(
+            1e6 * least(lambda p=some, n=size: ours.solve(p, region, start[:n]), 5) / size, 1
+        )  # type: ignore[misc]
     single_s, anew_s, parametrised_s = [], [], []
     places, values = [], []
     fixed = Peer(cp, name, region, None)
@@ -274,6 +282,7 @@ def measure(cp: Any, name: str, problems: int, seed: int) -> dict[str, Any]:
         "ours_single_us": round(1e6 * single, 1),
         "ours_in_a_batch_us": round(1e6 * batch_s, 2),
         "batch": ours.batch,
+        "ours_us_a_solve_by_batch_size": curve,
         "cvxpy_built_anew_us": round(1e6 * anew, 1),
         "cvxpy_parametrised_us": round(1e6 * parametrised, 1),
         "parametrised_is_dpp": dpp,

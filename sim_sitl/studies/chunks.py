@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from groundstation.localization.environment import SOUND_CHOICE, Choice
+from groundstation.localization.environment import Choice
 from groundstation.localization.locate import locate_batch
 from groundstation.localization.problem import Estimate, FloatArray, SearchArea
 from groundstation.localization.solvers import SOLVERS
@@ -27,8 +27,10 @@ from sim_sitl.studies.trials import Trials
 
 CENTRE = "centre"
 """The method that always answers the middle of the search area: what any other must beat."""
-ADAPTIVE: dict[str, Choice] = {"adaptive": Choice(), "adaptive-sound": SOUND_CHOICE}
-"""Algorithm 1 as printed, and with the solvers that the service uses."""
+SOUND = Choice("wls-taylor-bounded", "posterior", "posterior")
+"""Algorithm 1's decision with the best solver of each environment: what deciding by labels costs."""
+ADAPTIVE: dict[str, Choice] = {"adaptive": Choice(), "adaptive-sound": SOUND}
+"""Algorithm 1 as printed, and with `SOUND`."""
 CHUNK_TRIALS = 250
 _ELLIPSE, _ELLIPSOID = float(chdtri(2, 1.0 - COVERAGE)), float(chdtri(3, 1.0 - COVERAGE))
 """Squared radii that hold 90 % of a normal error in two and in three dimensions."""

@@ -123,7 +123,7 @@ def test_line_of_sight_is_found_with_its_uncertainty() -> None:
     assert last.height_reference == "home"
     assert [state.sequence for state in states] == list(range(1, len(states) + 1))
     assert last.snapshot is not None
-    assert last.snapshot.method == "wls-taylor-bounded"
+    assert last.snapshot.method == "posterior"
     assert last.snapshot.vehicle_ids == last.snapshot.los_vehicle_ids == (1, 2, 3, 4)
     assert any(state.regions for state in states)
     _, _, up = FRAME.to_enu(last.position)
