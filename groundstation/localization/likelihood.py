@@ -31,10 +31,16 @@ import numpy as np
 
 from groundstation.localization.problem import FloatArray, SignalModel
 
+_LEAST_STRAY = 1e-12
 ANYWHERE = 1.0 / (2.0 * math.pi * math.pi)
 """Density of a bearing that points anywhere, per rad²: azimuth all round, elevation ±90°."""
 _MINIMUM_DISTANCE_M = 1.0
 _MIXTURE_LOG_DISTANCE = 1.9
+
+
+def stray_share(model: SignalModel) -> float:
+    """Share of LOS bearings that point anywhere; never quite none: one far off must not rule out all."""
+    return max(model.angle_outlier_probability, _LEAST_STRAY)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,6 +26,7 @@ from groundstation.localization.likelihood import (
     mixture_variance_db2,
     offset_variance_db2,
     path_loss_of_square,
+    stray_share,
 )
 from groundstation.localization.problem import BoolArray, FloatArray, Links, SignalModel
 
@@ -298,7 +299,7 @@ class LinkStates:
             (azimuth, elevation),
             (model.azimuth_std_rad, model.elevation_std_rad),
         )
-        stray = model.angle_outlier_probability
+        stray = stray_share(model)
         ratio *= (1.0 - stray) / ANYWHERE
         ratio += stray - 1.0
         ratio *= mine(self.probability[speaking])

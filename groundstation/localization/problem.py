@@ -257,6 +257,11 @@ class SignalModel:
                 raise InputError(
                     f"signal model: {name} is {getattr(self, name)}; a positive number is needed"
                 )
+        for name in ("angle_outlier_probability", "rss_outlier_probability"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise InputError(
+                    f"signal model: {name} is {getattr(self, name)}; a share from 0 to below 1 is needed"
+                )
         if self.nlos_exponent_max < self.nlos_exponent_min:
             raise InputError("signal model: nlos_exponent_max lies under nlos_exponent_min")
         if self.transmit_power_max_dbm < self.transmit_power_min_dbm:

@@ -29,6 +29,7 @@ from groundstation.localization.likelihood import (
     mixture_variance_db2,
     offset_variance_db2,
     path_loss_db,
+    stray_share,
 )
 from groundstation.localization.problem import FloatArray, SignalModel
 
@@ -340,7 +341,7 @@ def angle_log_likelihood(
             continue
         weight = observations.angle_weight[row]
         right = 2.0 * p * shares
-        trusted = right * (1.0 - model.angle_outlier_probability)
+        trusted = right * (1.0 - stray_share(model))
         stray = (right - trusted + 2.0 * (1.0 - p) * (1.0 - shares)) * ANYWHERE
         anywhere = np.log(stray)
         total += weight * anywhere

@@ -290,3 +290,15 @@ def test_belief_travels_between_processes_and_gives_regions(draw) -> None:
             shape = shape.symmetric_difference(shapely.Polygon(ring))
         areas.append(shape.area)
     assert areas == sorted(areas)
+
+
+@pytest.mark.parametrize("los", [(1, 0, 0, 0), (1, 1, 1, 1)])
+def test_bearings_that_never_stray_contradict_without_a_breakdown(draw, los: tuple[int, ...]) -> None:
+    """A model that knows no stray bearings, and a bearing that points into the sky: finite all the same."""
+    drawn = draw(2, los, 71)
+    model = SignalModel(angle_outlier_probability=0.0, rss_outlier_probability=0.0)
+    elevation = np.where(np.arange(4) == 0, 0.5, drawn.links.elevation_rad)
+    for links in (drawn.links, replace(drawn.links, elevation_rad=elevation)):
+        for estimate in locate_batch(links, drawn.area, "posterior", model):
+            assert np.isfinite(estimate.position_enu_m).all()
+            assert np.isfinite(estimate.covariance_m2).all()

@@ -65,6 +65,8 @@ def test_clip_to_disc_and_polygon() -> None:
         lambda: SearchArea(np.zeros(2), 10.0, 20.0, 0.0),
         lambda: SearchArea.of_polygon(shapely.Polygon(), 0.0, 20.0),
         lambda: SignalModel(rss_std_db=0.0),
+        lambda: SignalModel(angle_outlier_probability=1.0),
+        lambda: SignalModel(rss_outlier_probability=-0.1),
         lambda: SignalModel(nlos_exponent_min=3.0, nlos_exponent_max=2.0),
         lambda: SignalModel(transmit_power_min_dbm=30.0),
     ],
