@@ -109,7 +109,7 @@ def test_labels_are_worth_what_they_show_on_other_links():
     assert odds[0] < 0.7
     assert odds[-1] > 1.5
     # Forty links of each state cannot show more than eighty to one.
-    assert odds[-1] <= 81.0
+    assert odds[-1] <= 81.0 + 1e-9
 
 
 def test_the_bound_told_to_robust_solvers_is_as_wide_as_the_papers():
