@@ -34,7 +34,7 @@ MAXIMUM_DOUBTFUL = 6
 """Links whose states are summed over; 2⁶ combinations."""
 MAXIMUM_SUSPECTS = 6
 """Links whose power may be an outlier, one at a time."""
-_LIKELY = 0.03
+_LIKELY = 0.1
 """States so much less probable than the most probable are not thought of beside an outlier."""
 _DOUBT = 1e-3
 _BEARING_CLAIM = 100.0
