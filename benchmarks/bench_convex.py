@@ -3,7 +3,8 @@
 Claims: a solve in a batch is 50 times cheaper than the program in CVXPY as most people write it (built
 anew for each solve) and 3 times cheaper than its fast form (parametrised, built once, DPP). A single
 solve stands beside them. CVXPY solves with Clarabel, tolerance 1e-9 on both sides; answers are compared
-by objective. Times are CPU time, least of the repeats.
+by objective. Times are CPU time, least of the repeats. Over 400 lines: each of five programs stands here
+in our form and in CVXPY's, so that one can be read beside the other.
 
     python benchmarks/bench_convex.py [--problems 10] [--seed 1] [--out FILE.json]
 """
@@ -259,7 +260,7 @@ def measure(cp: Any, name: str, problems: int, seed: int) -> dict[str, Any]:
         some = many.rows(slice(0, size))
         curve[str(size)] = round(
             1e6 * least(lambda p=some, n=size: ours.solve(p, region, start[:n]), 5) / size, 1
-        )  # type: ignore[misc]
+        )
     single_s, anew_s, parametrised_s = [], [], []
     places, values = [], []
     fixed = Peer(cp, name, region, None)
@@ -267,9 +268,9 @@ def measure(cp: Any, name: str, problems: int, seed: int) -> dict[str, Any]:
     fixed.solve(data[0])
     for row, one in enumerate(data):
         part = few.rows([row])
-        single_s.append(least(lambda p=part: ours.solve(p, region, start[:1]), 5))  # type: ignore[misc]
-        anew_s.append(least(lambda o=one: Peer(cp, name, region, o).solve(o), 2))  # type: ignore[misc]
-        parametrised_s.append(least(lambda o=one: fixed.solve(o), 3))  # type: ignore[misc]
+        single_s.append(least(lambda p=part: ours.solve(p, region, start[:1]), 5))
+        anew_s.append(least(lambda o=one: Peer(cp, name, region, o).solve(o), 2))
+        parametrised_s.append(least(lambda o=one: fixed.solve(o), 3))
         places.append(region.metres(np.asarray(fixed.solve(one))))
         values.append(float(fixed.problem.value))
     found = ours.solve(few, region, start[:problems])
@@ -372,9 +373,9 @@ def measure_sdp_socp(cp: Any, problems: int, seed: int, size: int = 1000) -> dic
     for row in range(problems):
         one = few.rows([row])
         data = range_data(one)
-        times[0].append(least(lambda o=one: sdp_socp(o), 5))  # type: ignore[misc]
-        times[1].append(least(lambda d=data: RangePeer(cp, d).solve(d), 2))  # type: ignore[misc]
-        times[2].append(least(lambda d=data: peer.solve(d), 3))  # type: ignore[misc]
+        times[0].append(least(lambda o=one: sdp_socp(o), 5))
+        times[1].append(least(lambda d=data: RangePeer(cp, d).solve(d), 2))
+        times[2].append(least(lambda d=data: peer.solve(d), 3))
         value, place = peer.solve(data)
         found = sdp_socp(one).position_enu_m[0]
         worst = max(worst, abs(reduced(data, found) / value - 1.0))

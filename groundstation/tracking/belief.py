@@ -7,7 +7,8 @@ likelihood conditions on the nearest earlier ones); the belief can be rebuilt fr
 bounded history, over another search area too; same inputs, same numbers.
 
 A still person is assumed. The candidates are boxes (``localization.mesh``) that split where
-the belief gathers; between splits an update costs a few products of arrays.
+the belief gathers; between splits an update costs a few products of arrays. Over 400 lines: history,
+mesh and running evidence are one state, rebuilt together from the history.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ STATIC_SHARE = 0.25
 SPACING_NOT_TOLD_SHARE = 0.2
 """Of the links: the file says 1 ns, as one does who does not know."""
 VARIED_SHARE = 0.3
-"""Of the links: :mod:`sim_sitl.varied_channel`."""
+"""Of the links: :mod:`sim_sitl.dataset.varied_channel`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_sitl import varied_channel
 from sim_sitl.cir_encoding import LOG_STEP_DB, CirEncoding, quantise
+from sim_sitl.dataset import varied_channel
 from sim_sitl.dataset.blockage import draw_blockage
 from sim_sitl.dataset.geometry import FREQUENCY_HZ, LinkGeometry, draw_geometry, reported_angles_deg
 from sim_sitl.dataset.options import DatasetOptions

@@ -92,11 +92,6 @@ class Case:
         return self.geometry.radius_m
 
     @property
-    def angle_std_deg(self) -> float:
-        """σ of LOS angles that solvers are told, degrees."""
-        return float(np.degrees(self.angles.told_std_rad))
-
-    @property
     def limit_name(self) -> str:
         """What ``limit_square_m2`` gives."""
         if self.states == LOS:

@@ -30,7 +30,7 @@ CENTRE = "centre"
 SOUND = Choice("wls-taylor-bounded", "posterior", "posterior")
 """Algorithm 1's decision with the best solver of each environment: what deciding by labels costs."""
 ADAPTIVE: dict[str, Choice] = {"adaptive": Choice(), "adaptive-sound": SOUND}
-"""Algorithm 1 as printed, and with `SOUND`."""
+"""Algorithm 1 as printed, and with ``SOUND``."""
 CHUNK_TRIALS = 250
 _ELLIPSE, _ELLIPSOID = float(chdtri(2, 1.0 - COVERAGE)), float(chdtri(3, 1.0 - COVERAGE))
 """Squared radii that hold 90 % of a normal error in two and in three dimensions."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -94,9 +95,8 @@ def test_the_same_seed_gives_the_same_figures(
     assert again == [row for row in rows_of(made[0][1]) if row["method"] in {"RF", "SVM"}]
 
 
-@pytest.mark.parametrize("study", [table3, bandwidth])
-def test_too_few_rows_and_a_cluster_are_refused(study: object, tmp_path: Path) -> None:
-    run = getattr(study, "run")  # noqa: B009
+@pytest.mark.parametrize("run", [table3.run, bandwidth.run])
+def test_too_few_rows_and_a_cluster_are_refused(run: Callable[..., object], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="200 or more"):
         run(options(tmp_path / "x", trials=100))
     with pytest.raises(UsageError, match="this machine"):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_sitl.varied_channel import VariedPaths, capture, draw_paths, draw_receiver
+from sim_sitl.dataset.varied_channel import VariedPaths, capture, draw_paths, draw_receiver
 
 
 def test_paths_are_ordered_and_of_unit_power_on_average() -> None:
