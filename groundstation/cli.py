@@ -259,7 +259,8 @@ def train(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="A trained model to go on from; with few logs the shipped one, unless told.",
+            help="A trained model to go on from; with few measured logs, whose logit may be used "
+            "(the shipped one unless told).",
         ),
     ] = None,
     seeds: Annotated[
@@ -275,6 +276,12 @@ def train(
     evaluate: Annotated[
         list[str] | None,
         typer.Option("--evaluate", metavar="TITLE=FILE", help="Further data that the card gives figures on."),
+    ] = None,
+    tap_spacing_ns: Annotated[
+        float | None,
+        typer.Option(
+            "--tap-spacing-ns", help="Of files that do not tell theirs (a CSV, say); 1 ns unless told."
+        ),
     ] = None,
 ) -> None:
     """Train and calibrate the line-of-sight classifier; write ONNX and a model card.
@@ -299,6 +306,7 @@ def train(
         ),
         also=also or [],
         evaluate=further,
+        tap_spacing_ns=tap_spacing_ns,
         command=" ".join(
             [
                 f"groundstation train --data {data.name}",
@@ -308,11 +316,14 @@ def train(
                 *([f"--seeds {seeds}"] if seeds > 1 else []),
                 *(["--learning-curve"] if learning_curve else []),
                 *([f"--learning-rate {learning_rate}"] if learning_rate != 2e-3 else []),
+                *([f"--tap-spacing-ns {tap_spacing_ns:g}"] if tap_spacing_ns is not None else []),
             ]
         ),
         progress=ConsoleProgress(sys.stderr),
     )
     test = report.test
+    if report.method:
+        typer.echo(report.method)
     typer.echo(
         f"model {report.version}: {report.parameters} parameters; held out {test.links} links: "
         f"accuracy {test.accuracy:.3f}, AUC {test.auc:.3f}, ECE {test.ece:.3f}; written to {report.out}"

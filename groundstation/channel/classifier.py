@@ -20,12 +20,18 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from groundstation.channel.calibration import Calibration
-from groundstation.channel.capture import ChannelCapture, UnusableCaptureError, Verdict, VerdictStatus
+from groundstation.channel.capture import (
+    ChannelCapture,
+    UnusableCaptureError,
+    Verdict,
+    VerdictStatus,
+    as_magnitude,
+)
 from groundstation.channel.preprocess import (
     INPUT_BINS,
     INPUT_CHANNELS,
     PREPROCESSING_VERSION,
-    network_input,
+    network_inputs,
 )
 from groundstation.channel.settings import ChannelSettings
 from groundstation.domain.errors import InputError
@@ -123,12 +129,7 @@ class Classifier:
         ``unknown`` and gets ``prior`` (the settings' where None).
         """
         prior = self._settings.prior_los_probability if prior is None else prior
-        inputs: list[NDArray[np.float32] | None] = []
-        reasons: list[str] = []
-        for link in links:
-            stacked, reason = self._link_input(link)
-            inputs.append(stacked)
-            reasons.append(reason)
+        inputs, reasons = self._link_inputs(links)
 
         probability = np.full(len(inputs), prior)
         known = [stacked is not None for stacked in inputs]
@@ -175,22 +176,50 @@ class Classifier:
             return logit, np.zeros(len(logit))
         return logit, found["novelty"].astype(np.float64).reshape(-1)
 
-    def _link_input(self, link: Sequence[ChannelCapture]) -> tuple[NDArray[np.float32] | None, str]:
-        if not link:
-            return None, "no capture"
-        newest = link[-self._settings.packets_max :]
-        usable: list[NDArray[np.float32]] = []
-        last_reason = ""
-        for capture in newest:
+    def _link_inputs(
+        self, links: Sequence[Sequence[ChannelCapture]]
+    ) -> tuple[list[NDArray[np.float32] | None], list[str]]:
+        """Of each link the stacked inputs of its usable captures (None: it has none), and a reason."""
+        newest = [link[-self._settings.packets_max :] for link in links]
+        flat = [capture for link in newest for capture in link]
+        inputs: list[NDArray[np.float32] | None] = [None] * len(flat)
+        reasons = [""] * len(flat)
+        by_taps: dict[int, list[tuple[int, NDArray[np.float64]]]] = {}
+        for index, capture in enumerate(flat):
             try:
-                usable.append(network_input(capture, self._settings))
+                magnitude = as_magnitude(capture)
             except UnusableCaptureError as error:
-                last_reason = str(error)
-        if not usable:
-            return None, last_reason
-        left_out = len(newest) - len(usable)
-        reason = f"{left_out} of {len(newest)} captures left out: {last_reason}" if left_out else ""
-        return np.stack(usable), reason
+                reasons[index] = str(error)
+            else:
+                by_taps.setdefault(len(magnitude), []).append((index, magnitude))
+        for members in by_taps.values():
+            captures = [flat[index] for index, _ in members]
+            tensor, why = network_inputs(
+                np.stack([magnitude for _, magnitude in members]),
+                np.array([capture.tap_spacing_ns for capture in captures], np.float64),
+                np.array(
+                    [np.nan if c.first_path_index is None else c.first_path_index for c in captures],
+                    np.float64,
+                ),
+                self._settings,
+            )
+            for place, (index, _) in enumerate(members):
+                inputs[index], reasons[index] = None if why[place] else tensor[place], why[place]
+
+        stacked: list[NDArray[np.float32] | None] = []
+        told: list[str] = []
+        end = 0
+        for link in newest:
+            start, end = end, end + len(link)
+            usable = [found for found in inputs[start:end] if found is not None]
+            last_reason = next((reason for reason in reversed(reasons[start:end]) if reason), "no capture")
+            left_out = len(link) - len(usable)
+            stacked.append(np.stack(usable) if usable else None)
+            if not usable:
+                told.append(last_reason)
+            else:
+                told.append(f"{left_out} of {len(link)} captures left out: {last_reason}" if left_out else "")
+        return stacked, told
 
 
 def load_classifier(path: Path | str | None = None, *, settings: ChannelSettings | None = None) -> Classifier:

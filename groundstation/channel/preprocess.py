@@ -1,7 +1,9 @@
 """Any window of a channel response → the network's input, or the reason why not.
 
 Why: sensors send 64 taps round the first path or 1,016 taps of everything, at a nanosecond
-or at a microsecond a tap. Rule kept here: training and service run this very code.
+or at a microsecond a tap. Rules kept here: training and service run this very code; captures of one
+length are prepared together (one by one this took ten times as long as the network), row by row
+alike, so that a capture's input does not depend on its company.
 
 The input is aligned on the first path and seen as by an eye: 16 taps before it and 80 from
 it on at their own resolution, the rest of the response in 32 bins that widen
@@ -56,36 +58,77 @@ def network_input(capture: ChannelCapture, settings: ChannelSettings) -> NDArray
     constant, saturated or all noise, or has no usable tap spacing.
     """
     magnitude = as_magnitude(capture)
-    _check(magnitude, capture.tap_spacing_ns, settings)
-    first_path = leading_edge(magnitude, capture.first_path_index)
-    low, peak = float(magnitude.min()), float(magnitude.max())
+    told = np.nan if capture.first_path_index is None else capture.first_path_index
+    inputs, reasons = network_inputs(
+        magnitude[None], np.array([capture.tap_spacing_ns]), np.array([told]), settings
+    )
+    if reasons[0]:
+        raise UnusableCaptureError(reasons[0])
+    result: NDArray[np.float32] = inputs[0]
+    return result
+
+
+def network_inputs(
+    magnitude: NDArray[np.float64],
+    tap_spacing_ns: NDArray[np.float64],
+    told: NDArray[np.float64],
+    settings: ChannelSettings,
+) -> tuple[NDArray[np.float32], list[str]]:
+    """(n, INPUT_CHANNELS, INPUT_BINS) of (n, taps) captures, and why one cannot be used ("" = it can).
+
+    ``tap_spacing_ns`` and ``told`` (first-path index, NaN = not told) are (n,). The input of an
+    unusable capture is zero.
+    """
+    count, taps = magnitude.shape
+    inputs = np.zeros((count, INPUT_CHANNELS, INPUT_BINS), np.float32)
+    reasons = _unusable(magnitude, tap_spacing_ns, settings)
+    if any(reasons):
+        usable = np.flatnonzero([not reason for reason in reasons])
+        magnitude, tap_spacing_ns, told = magnitude[usable], tap_spacing_ns[usable], told[usable]
+    else:
+        usable = np.arange(count)
+    if not len(usable):
+        return inputs, reasons
+    first_path = leading_edges(magnitude, told)[:, None]
+    low, peak = magnitude.min(axis=1, keepdims=True), magnitude.max(axis=1, keepdims=True)
 
     # Positions in the window of the fine taps; outside there is no data.
     fine = first_path + np.arange(-LEAD_TAPS, FINE_TAPS)
-    fine_known = (fine >= 0) & (fine < len(magnitude))
-    fine_magnitude = magnitude[np.clip(fine, 0, len(magnitude) - 1)]
-    energy = np.concatenate([[0.0], np.cumsum(magnitude**2)])
-    edges = np.clip(first_path + _TAIL_EDGES, 0, len(magnitude))
+    fine_known = (fine >= 0) & (fine < taps)
+    fine_magnitude = np.take_along_axis(magnitude, np.clip(fine, 0, taps - 1), axis=1)
+    energy = np.zeros((len(usable), taps + 1))
+    np.cumsum(magnitude**2, axis=1, out=energy[:, 1:])
+    edges = np.clip(first_path + _TAIL_EDGES, 0, taps)
     tail_taps = np.diff(edges)
-    tail_magnitude = np.sqrt(np.maximum(np.diff(energy[edges]), 0.0) / np.maximum(tail_taps, 1))
+    tail_energy = np.diff(np.take_along_axis(energy, edges, axis=1))
+    tail_magnitude = np.sqrt(np.maximum(tail_energy, 0.0) / np.maximum(tail_taps, 1))
 
-    known = np.concatenate([fine_known, tail_taps > 0])
-    binned = np.concatenate([fine_magnitude, tail_magnitude])
-    time_ns = _BIN_TAPS * capture.tap_spacing_ns
+    known = np.concatenate([fine_known, tail_taps > 0], axis=1)
+    binned = np.concatenate([fine_magnitude, tail_magnitude], axis=1)
     below_peak_db = 20 * np.log10(np.maximum(binned / peak, 10 ** (-DYNAMIC_RANGE_DB / 20)))
-    channels = np.stack(
-        [
-            np.where(known, np.clip((binned - low) / (peak - low), 0, 1), 0),
-            np.where(known, 1 + below_peak_db / DYNAMIC_RANGE_DB, 0),
-            np.sign(time_ns) * np.log10(1 + np.abs(time_ns)) / 4,
-            known,
-        ]
-    )
-    return channels.astype(np.float32)
+    channels = np.empty((len(usable), INPUT_CHANNELS, INPUT_BINS))
+    channels[:, 0] = np.where(known, np.clip((binned - low) / (peak - low), 0, 1), 0)
+    channels[:, 1] = np.where(known, 1 + below_peak_db / DYNAMIC_RANGE_DB, 0)
+    channels[:, 2] = time_channel(tap_spacing_ns)
+    channels[:, 3] = known
+    inputs[usable] = channels
+    return inputs, reasons
+
+
+def time_channel(tap_spacing_ns: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(n, INPUT_BINS) channel 2 of (n,) tap spacings."""
+    time_ns = _BIN_TAPS * tap_spacing_ns[:, None]
+    channel: NDArray[np.float64] = np.sign(time_ns) * np.log10(1 + np.abs(time_ns)) / 4
+    return channel.astype(np.float32)
 
 
 def leading_edge(magnitude: NDArray[np.float64], told: float | None = None) -> int:
-    """Tap of the first path by its leading edge; near ``told`` where that lies in the window.
+    """Tap of the first path of (taps,) by its leading edge: see :func:`leading_edges`."""
+    return int(leading_edges(magnitude[None], np.array([np.nan if told is None else told]))[0])
+
+
+def leading_edges(magnitude: NDArray[np.float64], told: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(n,) taps of the first paths of (n, taps) by their leading edges; near ``told`` where it lies within.
 
     A sensor's own index is a hint, not the alignment: sensors define it differently (start
     or centre of the pulse), and aligning some links on it and some on the edge blurs the
@@ -95,57 +138,83 @@ def leading_edge(magnitude: NDArray[np.float64], told: float | None = None) -> i
     15 % of the peak; the threshold never passes 60 % of the peak, for in a short window full of
     paths the quartile is not noise.
     """
-    peak = float(magnitude.max())
-    sigma = float(np.quantile(magnitude, 0.25)) / _RAYLEIGH_QUARTILE
-    threshold = min(max(4.5 * sigma, 0.15 * peak), 0.6 * peak)
-    above = magnitude >= threshold
-    if told is None or not np.isfinite(told) or not 0 <= told <= len(magnitude) - 1:
-        return int(np.argmax(above))
-    start = max(round(told) - HINT_TAPS, 0)
-    near = above[start : round(told) + HINT_TAPS + 1]
-    return start + int(np.argmax(near)) if np.any(near) else round(told)
+    taps = magnitude.shape[1]
+    peak = magnitude.max(axis=1)
+    sigma = _lower_quartile(magnitude) / _RAYLEIGH_QUARTILE
+    threshold = np.minimum(np.maximum(4.5 * sigma, 0.15 * peak), 0.6 * peak)
+    above = magnitude >= threshold[:, None]
+    edge: NDArray[np.int64] = np.argmax(above, axis=1)
+    with np.errstate(invalid="ignore"):
+        inside = (told >= 0) & (told <= taps - 1)
+    if np.any(inside):
+        index = np.rint(told[inside]).astype(np.int64)
+        near = above[inside] & (np.abs(np.arange(taps) - index[:, None]) <= HINT_TAPS)
+        edge[inside] = np.where(np.any(near, axis=1), np.argmax(near, axis=1), index)
+    return edge
 
 
-def _check(magnitude: NDArray[np.float64], tap_spacing_ns: float, settings: ChannelSettings) -> None:
-    taps = len(magnitude)
+def _lower_quartile(magnitude: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) 25 % quantiles of (n, taps), as np.quantile interpolates, at a fraction of its time."""
+    place = 0.25 * (magnitude.shape[1] - 1)
+    below = int(place)
+    share = place - below
+    ordered = np.partition(magnitude, (below, min(below + 1, magnitude.shape[1] - 1)), axis=1)
+    low, high = ordered[:, below], ordered[:, min(below + 1, magnitude.shape[1] - 1)]
+    quartile: NDArray[np.float64] = (
+        low + (high - low) * share if share < 0.5 else high - (high - low) * (1 - share)
+    )
+    return quartile
+
+
+def _unusable(
+    magnitude: NDArray[np.float64], tap_spacing_ns: NDArray[np.float64], settings: ChannelSettings
+) -> list[str]:
+    """Why each of (n, taps) captures cannot be used; "" where it can."""
+    count, taps = magnitude.shape
     if taps < settings.taps_min:
-        raise UnusableCaptureError(f"too short: {taps} taps, {settings.taps_min} needed")
-    if not (np.isfinite(tap_spacing_ns) and tap_spacing_ns > 0):
-        raise UnusableCaptureError(f"tap spacing is {tap_spacing_ns} ns; it must be positive")
-    peak = float(magnitude.max())
-    if float(magnitude.min()) == peak:
-        raise UnusableCaptureError("constant: every tap is the same")
-    if _is_saturated(magnitude, peak):
-        raise UnusableCaptureError("saturated: too many taps at full scale")
-    if settings.reject_noise and _is_noise(magnitude):
-        raise UnusableCaptureError("all noise: no path stands out")
+        return [f"too short: {taps} taps, {settings.taps_min} needed"] * count
+    reasons = [""] * count
+
+    def mark(bad: NDArray[np.bool_], reason: str) -> None:
+        for row in np.flatnonzero(bad):
+            reasons[row] = reasons[row] or reason
+
+    for row in np.flatnonzero(~(np.isfinite(tap_spacing_ns) & (tap_spacing_ns > 0))):
+        reasons[row] = f"tap spacing is {tap_spacing_ns[row]} ns; it must be positive"
+    peak = magnitude.max(axis=1)
+    mark(magnitude.min(axis=1) == peak, "constant: every tap is the same")
+    mark(_is_saturated(magnitude, peak), "saturated: too many taps at full scale")
+    if settings.reject_noise:
+        rayleigh_peak = np.sqrt(2 * np.log(taps / _NOISE_FALSE_ALARM)) / np.sqrt(2 * np.log(2))
+        low = np.flatnonzero(peak < rayleigh_peak * np.median(magnitude, axis=1))
+        noise = [row for row in low if not reasons[row] and _is_noise(magnitude[row])]
+        mark(np.isin(np.arange(count), noise), "all noise: no path stands out")
+    return reasons
 
 
-def _is_saturated(magnitude: NDArray[np.float64], peak: float) -> bool:
-    """Whether the top is cut off: several taps at the very peak, apart or most of what is strong.
+def _is_saturated(magnitude: NDArray[np.float64], peak: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) whether the top is cut off: several taps at the very peak, apart or most of what is strong.
 
     A wide pulse in coarse steps has a flat top too, but one, and narrow beside its flanks.
     """
-    top = magnitude == peak
-    taps = int(np.count_nonzero(top))
-    runs = int(np.count_nonzero(np.diff(top.astype(np.int8), prepend=0) == 1))
-    strong = int(np.count_nonzero(magnitude >= 0.5 * peak))
-    return (taps >= 5 and runs >= 3) or (taps >= 4 and 2 * taps >= strong)
+    top = magnitude == peak[:, None]
+    taps = np.count_nonzero(top, axis=1)
+    runs = top[:, 0] + np.count_nonzero(top[:, 1:] & ~top[:, :-1], axis=1)
+    strong = np.count_nonzero(magnitude >= 0.5 * peak[:, None], axis=1)
+    saturated: NDArray[np.bool_] = ((taps >= 5) & (runs >= 3)) | ((taps >= 4) & (2 * taps >= strong))
+    return saturated
 
 
 def _is_noise(magnitude: NDArray[np.float64]) -> bool:
-    """Whether a window is as noise alone would be, by three marks that must agree.
+    """Whether a window without a high peak is as noise alone would be, by two more marks.
 
-    No high peak; no more uneven than Rayleigh magnitudes, for which n Σm⁴ / (Σm²)² is 2
+    No more uneven than Rayleigh magnitudes, for which n Σm⁴ / (Σm²)² is 2
     within a few times √(20/n) (a dense response in a short window has a low peak too, but
     its energy falls off with delay); and no tap before which the power differs from that
     after it (likelihood ratio of exponential powers, counted in independent samples).
     """
     taps = len(magnitude)
     power = magnitude**2
-    rayleigh_peak = np.sqrt(2 * np.log(taps / _NOISE_FALSE_ALARM)) / np.sqrt(2 * np.log(2))
-    if float(magnitude.max()) >= rayleigh_peak * float(np.median(magnitude)):
-        return False
     total = float(power.sum())
     if taps * float(np.sum(power**2)) / total**2 >= 2 + 2 * np.sqrt(20 / taps):
         return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable
 
@@ -17,6 +18,7 @@ from groundstation.channel.preprocess import (
     LEAD_TAPS,
     leading_edge,
     network_input,
+    network_inputs,
 )
 
 SETTINGS = ChannelSettings()
@@ -148,3 +150,68 @@ def test_a_told_first_path_is_a_hint_for_the_edge() -> None:
     assert leading_edge(magnitude) == 40
     assert leading_edge(magnitude, 118.3) == 120
     assert leading_edge(magnitude, 200.0) == 200
+
+
+def one_by_one(magnitude: np.ndarray, spacing_ns: float, told: float) -> np.ndarray:
+    """The input as the module's header says it, bin by bin, without a thought for speed."""
+    peak, low, taps = magnitude.max(), magnitude.min(), len(magnitude)
+    sigma = np.quantile(magnitude, 0.25) / 0.7585
+    above = magnitude >= min(max(4.5 * sigma, 0.15 * peak), 0.6 * peak)
+    first = int(np.argmax(above))
+    if np.isfinite(told) and 0 <= told <= taps - 1:
+        near = [tap for tap in np.flatnonzero(above) if abs(tap - round(told)) <= 16]
+        first = near[0] if near else round(told)
+    edges = np.rint(np.geomspace(80, 1024, 33)).astype(int)
+    bins = [(tap, tap + 1) for tap in range(-16, 80)] + list(itertools.pairwise(edges))
+    result = np.zeros((4, 128))
+    for place, (start, end) in enumerate(bins):
+        time_ns = 0.5 * (start + end - 1) * spacing_ns
+        result[2, place] = np.sign(time_ns) * np.log10(1 + abs(time_ns)) / 4
+        inside = magnitude[max(first + start, 0) : max(first + end, 0)]
+        if len(inside):
+            level = np.sqrt(np.mean(inside**2)) if end - start > 1 else inside[0]
+            result[0, place] = min(max((level - low) / (peak - low), 0), 1)
+            result[1, place] = 1 + max(20 * np.log10(max(level / peak, 1e-9)), -50) / 50
+            result[3, place] = 1
+    return result
+
+
+@pytest.mark.parametrize("taps", [16, 64, 65, 66, 67, 1016])
+def test_together_is_as_one_by_one(make_capture: MakeCapture, taps: int) -> None:
+    """All windows of a length in one call: what each gives by itself, and what the definition gives."""
+    rng = np.random.default_rng(taps)
+    first = rng.integers(0, taps // 2, 60)
+    magnitude = np.array(
+        [
+            make_capture(seed=row, taps=taps, first_path=int(first[row]), los=row % 2 == 0).magnitude
+            for row in range(60)
+        ]
+    )
+    magnitude[::7] = rng.rayleigh(size=magnitude[::7].shape)
+    magnitude[5] = 3.0
+    magnitude[6] = np.minimum(magnitude[6], 0.1 * magnitude[6].max())
+    spacing_ns = 10 ** rng.uniform(-1, 3, 60)
+    spacing_ns[9] = -1.0
+    told = np.where(rng.random(60) < 0.5, first + rng.normal(0, 9, 60), np.nan)
+    told[3], told[4] = np.inf, taps
+    inputs, reasons = network_inputs(magnitude, spacing_ns, told, SETTINGS)
+    assert {reason.split(" ")[0] for reason in reasons} >= {"", "constant:", "saturated:", "tap"}
+    assert sum(not reason for reason in reasons) > 30
+    for row, reason in enumerate(reasons):
+        capture = ChannelCapture(magnitude[row], spacing_ns[row], told[row])
+        if reason:
+            with pytest.raises(UnusableCaptureError) as raised:
+                network_input(capture, SETTINGS)
+            assert str(raised.value) == reason
+            assert not inputs[row].any()
+            continue
+        np.testing.assert_array_equal(inputs[row], network_input(capture, SETTINGS))
+        expected = one_by_one(magnitude[row], spacing_ns[row], told[row])
+        np.testing.assert_allclose(inputs[row], expected, atol=1e-6)
+
+
+def test_the_batch_of_an_unusable_length_says_so_of_each() -> None:
+    inputs, reasons = network_inputs(np.ones((3, 4)), np.ones(3), np.full(3, np.nan), SETTINGS)
+    assert inputs.shape == (3, INPUT_CHANNELS, INPUT_BINS)
+    assert reasons == ["too short: 4 taps, 16 needed"] * 3
+    assert network_inputs(np.ones((0, 64)), np.ones(0), np.ones(0), SETTINGS)[1] == []

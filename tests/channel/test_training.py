@@ -29,6 +29,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     pytest.mark.filterwarnings("ignore::FutureWarning"),
 ]
+BY_LINK = ("first", "packets", "is_los", "group", "bandwidth_hz", "window_taps")
 OPTIONS = TrainingOptions(epochs=6, batch_links=16, seed=3)
 
 
@@ -117,6 +118,24 @@ def test_several_files_are_trained_on_as_one(tiny_npz: Path) -> None:
     )
 
 
+def test_files_weigh_alike_however_many_links_they_have(tiny_npz: Path) -> None:
+    from groundstation.channel.training.fit import _loss, logits
+    from groundstation.channel.training.model import CnnLstm
+
+    one = read_links(tiny_npz)
+    few = replace(one, **{name: getattr(one, name)[:40:2] for name in BY_LINK})
+    both = merged([one, few])
+    assert both.weight is not None
+    assert both.source is not None
+    assert [both.weight[both.source == file].sum() for file in (0, 1)] == pytest.approx([50, 50])
+    # The loss of both is the mean of the losses of each.
+    model = CnnLstm().eval()
+    parts = [_loss(model, part, np.arange(len(part))) for part in (one, few)]
+    assert parts[0] != pytest.approx(parts[1], rel=1e-4)
+    assert _loss(model, both, np.arange(100)) == pytest.approx(np.mean(parts))
+    assert len(logits(model, both, np.arange(100))) == 100
+
+
 def test_several_seeds_are_each_told_and_the_best_is_kept(tiny_npz: Path, tmp_path: Path) -> None:
     options = replace(OPTIONS, epochs=2, seeds=2, learning_curve=True)
     report = train(tiny_npz, tmp_path, options=options)
@@ -153,6 +172,72 @@ def test_exported_network_is_the_trained_one(
         np.testing.assert_allclose(classifier.logits(tensor), expected, atol=1e-5)
     notes = (tmp_path / "model.onnx").read_bytes()
     assert not any(word in notes for word in (b".py", b"/home", b"/work", b"site-packages"))
+
+
+def test_every_link_is_in_one_batch_with_as_many_captures_as_its_batch_has() -> None:
+    from groundstation.channel.training.fit import _batches
+
+    rng = np.random.default_rng(0)
+    links, counts = rng.permutation(1000), rng.integers(1, 5, 1000)
+    counts[7] = 8  # alone: no batch of one
+    batches = _batches(links, counts, 32, rng)
+    seen = np.concatenate([members for members, _ in batches])
+    assert sorted(seen.tolist()) == sorted(set(range(1000)) - {int(links[7])})
+    assert all(2 <= len(members) <= 32 for members, _ in batches)
+    told = dict(zip(links.tolist(), counts.tolist(), strict=True))
+    assert all({told[link] for link in members.tolist()} == {count} for members, count in batches)
+    # Counts come in random order: not all of one kind at the end of an epoch.
+    assert np.count_nonzero(np.diff([count for _, count in batches])) > 10
+
+
+def test_a_batch_seen_blindly_is_one_of_untold_spacing(make_capture: Callable[..., ChannelCapture]) -> None:
+    import torch
+
+    from groundstation.channel import ChannelSettings
+    from groundstation.channel.preprocess import network_input
+    from groundstation.channel.training.fit import blind
+
+    told, untold = (network_input(make_capture(tap_spacing_ns=ns), ChannelSettings()) for ns in (7.0, 1.0))
+    batch = torch.from_numpy(told[None, None])
+    np.testing.assert_array_equal(blind(batch)[0, 0].numpy(), untold)
+    np.testing.assert_array_equal(batch[0, 0].numpy(), told)
+
+
+def test_the_figures_are_told_by_file_and_windows_are_trained_on(tiny_npz: Path, tmp_path: Path) -> None:
+    report = train(tiny_npz, tmp_path, options=replace(OPTIONS, epochs=1, windows=(32,)), also=[tiny_npz])
+    card = json.loads((tmp_path / "card.json").read_text(encoding="utf-8"))
+    titles = [one["title"] for one in card["evaluations"]]
+    assert (
+        titles.count("held out, of tiny.npz")
+        == titles.count("held out, of tiny.npz, first capture only")
+        == 2
+    )
+    by_title = {one["title"]: one["figures"]["links"] for one in card["evaluations"]}
+    # Each link once as it is and once as a window, of the same groups.
+    assert by_title["held out, window of 32 taps"] == by_title["held out, window of 128 taps"]
+    assert report.test.links == 2 * by_title["held out, window of 32 taps"]
+
+
+def test_the_command_line_passes_the_tap_spacing_on(
+    tiny_npz: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from typer.testing import CliRunner
+
+    from groundstation.channel.training import run
+    from groundstation.cli import app
+
+    seen: dict[str, object] = {}
+
+    def note(*paths: Path, **options: object) -> None:
+        seen.update(options)
+        raise InputError("enough")
+
+    monkeypatch.setattr(run, "train", note)
+    CliRunner().invoke(
+        app, ["train", "--data", str(tiny_npz), "--out", str(tmp_path), "--tap-spacing-ns", "333"]
+    )
+    assert seen["tap_spacing_ns"] == 333
+    assert str(seen["command"]).endswith("--tap-spacing-ns 333")
 
 
 def test_resuming_gives_the_uninterrupted_network(tiny_npz: Path, tmp_path: Path) -> None:
@@ -243,8 +328,12 @@ def test_wrong_use_is_said_before_any_work(tiny_npz: Path, tmp_path: Path) -> No
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="a folder is needed"):
         train(tiny_npz, tmp_path / "file")
+    with pytest.raises(InputError, match="file is no folder that can be written to"):
+        train(tiny_npz, tmp_path / "file" / "out")
     with pytest.raises(InputError, match="is not a file"):
         train(tmp_path / "nowhere.npz", tmp_path / "out")
+    with pytest.raises(InputError, match=r"tap spacing is -1\.0 ns"):
+        train(tiny_npz, tmp_path / "out", tap_spacing_ns=-1.0)
     assert not (tmp_path / "out").exists()
 
 

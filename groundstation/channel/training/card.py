@@ -69,6 +69,8 @@ class Card:
     """Share of the held-out links called unlike anything seen."""
     notes: str = ""
     """``notes.md`` of the folder, as it is."""
+    method: str = ""
+    """What it is, where it is not the paper's network alone."""
 
 
 def write_card(folder: Path, card: Card) -> None:
@@ -84,16 +86,16 @@ def _lines(card: Card) -> list[str]:
     lines = [
         f"# Channel classifier {card.version}",
         "",
-        "P(line of sight) of a radio link from its channel impulse responses: the CNN–LSTM of "
-        f"the paper (Gao & Sadjadpour, 2026), III-B; {card.parameters:,} parameters, "
+        "P(line of sight) of a radio link from its channel impulse responses: "
+        + (card.method or "the CNN–LSTM of the paper (Gao & Sadjadpour, 2026), III-B")
+        + f"; {card.parameters:,} parameters, "
         f"{card.model_bytes / 1e3:.0f} kB ONNX, ONNX Runtime on one thread.",
         "",
         f"- Data: `{card.data_name}` (SHA-256 {card.data_sha256[:16]}…), {card.groups:,} groups. "
         f"{card.split}",
         f"- Began with {card.start}.",
         f"- Captures left out as unusable: {dropped}.",
-        f"- Calibration: P = σ(logit / {card.temperature:.3f} {card.bias:+.3f}), fitted on links that the "
-        "network was not trained on, LOS and NLOS weighted alike: shift the log odds where you know better.",
+        _calibration(card),
         _novelty(card),
         f"- Options: {settings}.",
         f"- Command: `{card.command}`",
@@ -120,6 +122,16 @@ def _lines(card: Card) -> list[str]:
     if card.notes:
         lines.append(card.notes)
     return lines
+
+
+def _calibration(card: Card) -> str:
+    fitted = (
+        "P = σ(logit), every log counted once"
+        if card.method
+        else f"P = σ(logit / {card.temperature:.3f} {card.bias:+.3f}), fitted on links that the "
+        "network was not trained on"
+    )
+    return f"- Calibration: {fitted}, LOS and NLOS weighted alike: shift the log odds where you know better."
 
 
 def _novelty(card: Card) -> str:

@@ -15,14 +15,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.channel.capture import ChannelCapture, UnusableCaptureError
 from groundstation.channel.features import FEATURE_NAMES, FIT_NAMES, features
-from groundstation.channel.preprocess import INPUT_BINS, INPUT_CHANNELS, network_input
+from groundstation.channel.preprocess import INPUT_BINS, INPUT_CHANNELS, network_inputs
 from groundstation.channel.settings import ChannelSettings
 from groundstation.channel.training.files import CSV_FIELDS, Blocks, Table, open_file
+from groundstation.channel.training.windows import windowed
 from groundstation.domain.errors import InputError
 
-__all__ = ["CSV_FIELDS", "LinkData", "joined", "read_links", "single_captures", "split_by_group"]
+__all__ = [
+    "CSV_FIELDS",
+    "LinkData",
+    "joined",
+    "read_links",
+    "read_windows",
+    "single_captures",
+    "split_by_group",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +57,10 @@ class LinkData:
     """Whether the file tells which rows are of one geometry."""
     features: NDArray[np.float64] | None = None
     """(captures, 8) FEATURE_NAMES and FIT_NAMES of the same captures, where asked for."""
+    source: NDArray[np.int64] | None = None
+    """(links,) which file a link is of, where there are several."""
+    weight: NDArray[np.float64] | None = None
+    """(links,) in losses and calibration, mean 1; None: all alike."""
 
     def __len__(self) -> int:
         return len(self.first)
@@ -75,7 +87,31 @@ def read_links(
     alone, which the service does not judge. ``progress(rows done, rows)``.
     """
     table, blocks = open_file(path, tap_spacing_ns)
-    return _preprocess(table, blocks, progress, with_features, ChannelSettings(reject_noise=not keep_noise))
+    settings = ChannelSettings(reject_noise=not keep_noise)
+    links = _preprocess(path, table, blocks, progress, with_features, settings)
+    usable, rows = len(links.inputs), len(table.is_los)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in links.left_out.items())
+    if 2 * usable < rows:
+        raise InputError(
+            f"{path}: {rows - usable} of {rows} responses cannot be used ({reasons}); half are needed"
+        )
+    if np.all(links.is_los) or not np.any(links.is_los):
+        raise InputError(
+            f"{path}: of the usable responses all are of one class; left out: {reasons or 'none'}"
+        )
+    return links
+
+
+def read_windows(
+    path: Path, windows: tuple[int, ...], seed: int, *, tap_spacing_ns: float | None = None
+) -> LinkData:
+    """The links of a file whose responses are long enough, cut to one of these windows round the first path.
+
+    Groups are those of :func:`read_links`, for :func:`joined`; ``seed`` draws window and lead. No links
+    where none is long enough (:mod:`groundstation.channel.training.windows`).
+    """
+    table, blocks = open_file(path, tap_spacing_ns)
+    return _preprocess(path, *windowed(table, blocks, windows, seed), None, False, ChannelSettings())
 
 
 def single_captures(data: LinkData) -> LinkData:
@@ -136,6 +172,7 @@ def split_by_group(
 
 
 def _preprocess(
+    path: Path,
     table: Table,
     blocks: Blocks,
     progress: Callable[[int, int], None] | None,
@@ -152,43 +189,41 @@ def _preprocess(
         if not np.all(np.isfinite(block)):
             bad = row + int(np.argmax(~np.isfinite(block).all(axis=1)))
             raise InputError(
-                f"cir_magnitude has NaN or infinity, first in row {bad}; finite magnitudes are needed"
+                f"{path}: cir_magnitude has NaN or infinity, first in row {bad}; finite magnitudes are needed"
             )
         if np.any(block < 0):
             bad = row + int(np.argmax((block < 0).any(axis=1)))
-            raise InputError(f"cir_magnitude is negative, first in row {bad}; magnitudes are needed")
+            raise InputError(f"{path}: cir_magnitude is negative, first in row {bad}; magnitudes are needed")
         before = len(kept)
-        for values in block:
-            told = float(table.first_path_index[row])
-            capture = ChannelCapture(
-                values[: table.window_taps[row]],
-                float(table.tap_spacing_ns[row]),
-                told if np.isfinite(told) else None,
+        here = slice(row, row + len(block))
+        prepared = np.empty((len(block), INPUT_CHANNELS, INPUT_BINS), np.float32)
+        usable_here = np.zeros(len(block), bool)
+        for taps in np.unique(table.window_taps[here]):
+            members = np.flatnonzero(table.window_taps[here] == taps)
+            prepared[members], reasons = network_inputs(
+                block[members, :taps],
+                table.tap_spacing_ns[here][members],
+                table.first_path_index[here][members],
+                settings,
             )
-            try:
-                inputs[len(kept)] = network_input(capture, settings)
-            except UnusableCaptureError as error:
-                left_out[str(error).split(":")[0]] += 1
-            else:
-                kept.append(row)
-            row += 1
+            usable_here[members] = [not reason for reason in reasons]
+            left_out.update(reason.split(":")[0] for reason in reasons if reason)
+        found = np.flatnonzero(usable_here)
+        inputs[before : before + len(found)] = prepared[found]
+        kept.extend((row + found).tolist())
+        row += len(block)
         if with_features:
-            here = np.array(kept[before:], np.int64)
-            windows = table.window_taps[here]
+            windows = table.window_taps[here][found]
             for taps in np.unique(windows):
                 members = np.flatnonzero(windows == taps)
-                chosen = block[here[members] - (row - len(block)), :taps]
+                chosen = block[found[members], :taps]
                 statistics[before + members] = features(chosen, goodness_of_fit=True)
         if progress is not None:
             progress(row, rows)
     usable = np.array(kept, dtype=np.int64)
-    if 2 * len(usable) < rows:
-        raise InputError(f"{rows - len(usable)} of {rows} responses cannot be used: {dict(left_out)}")
     _, first, packets = np.unique(table.link[usable], return_index=True, return_counts=True)
     rows_of_links = usable[first]
     is_los = table.is_los[rows_of_links]
-    if np.all(is_los) or not np.any(is_los):
-        raise InputError(f"of the usable responses all are of one class; left out: {dict(left_out)}")
     return LinkData(
         inputs=inputs[: len(usable)],
         first=first.astype(np.int64),

@@ -6,6 +6,7 @@ Rules kept here: through the service's own code, not torch; intervals by resampl
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,12 +70,22 @@ def evaluation(
 
 
 def evaluate_splits(
-    classifier: Classifier, data: LinkData, links: NDArray[np.int64], title: str = "held out"
+    classifier: Classifier,
+    data: LinkData,
+    links: NDArray[np.int64],
+    title: str = "held out",
+    names: Sequence[str] = (),
 ) -> list[Evaluation]:
-    """On ``links``: all captures of a link, the first only, by bandwidth, by window."""
+    """On ``links``: all captures of a link, the first only, by file (``names``), bandwidth and window."""
     result = [evaluate(classifier, data, links, f"{title}, all captures of a link", None)]
     if int(data.packets.max()) > 1:
         result.append(evaluate(classifier, data, links, f"{title}, first capture only", 1))
+    for place, name in enumerate(names if data.source is not None else ()):
+        part = links[data.source[links] == place]  # type: ignore[index]
+        if len(part):
+            result.append(evaluate(classifier, data, part, f"{title}, of {name}", None))
+            if int(data.packets[part].max()) > 1:
+                result.append(evaluate(classifier, data, part, f"{title}, of {name}, first capture only", 1))
     for low, high in BANDWIDTH_BANDS_MHZ:
         inside = (data.bandwidth_hz[links] >= low * 1e6) & (data.bandwidth_hz[links] < high * 1e6)
         if np.any(inside) and not np.all(inside):

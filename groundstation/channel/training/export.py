@@ -23,7 +23,7 @@ from torch import nn
 
 from groundstation.channel.classifier import METADATA_FILE, METADATA_FORMAT, MODEL_FILE, open_session
 from groundstation.channel.preprocess import INPUT_BINS, INPUT_CHANNELS, PREPROCESSING_VERSION
-from groundstation.channel.training.model import CnnLstm
+from groundstation.channel.training.model import CnnLstm, WithNovelty
 from groundstation.domain.errors import InputError, InternalError
 
 WEIGHTS_FILE = "weights.npz"
@@ -35,7 +35,7 @@ def export_onnx(model: nn.Module, folder: Path) -> Path:
     A :class:`~groundstation.channel.training.model.WithNovelty` gives ``novelty`` (links,) too.
     """
     path = folder / MODEL_FILE
-    names = ["logit"] if isinstance(model, CnnLstm) else ["logit", "novelty"]
+    names = ["logit", "novelty"] if isinstance(model, WithNovelty) else ["logit"]
     example = torch.zeros(2, 3, INPUT_CHANNELS, INPUT_BINS)
     dynamic = {"packets": {0: torch.export.Dim("links"), 1: torch.export.Dim("packets")}}
     # A second export in one process would find the LSTM as the first one left it in torch's

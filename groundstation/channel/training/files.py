@@ -141,6 +141,8 @@ def _open_csv(path: Path, spacing_ns: float) -> tuple[Table, Blocks]:
     try:
         with path.open(encoding="utf-8-sig") as lines:
             first = lines.readline().rstrip("\r\n")
+            if not first.strip():
+                raise InputError(f"{path} is empty or begins with an empty line; rows of numbers are needed")
             delimiter = next((mark for mark in ",;\t" if mark in first), ",")
             cells = [cell.strip().strip('"').strip() for cell in first.split(delimiter)]
             has_header = not any(_is_number(cell) for cell in cells)

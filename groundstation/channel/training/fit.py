@@ -19,8 +19,9 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from groundstation.channel.preprocess import FINE_TAPS, INPUT_BINS, LEAD_TAPS
+from groundstation.channel.preprocess import FINE_TAPS, INPUT_BINS, LEAD_TAPS, time_channel
 from groundstation.channel.training.data import LinkData
+from groundstation.channel.training.files import UNKNOWN_SPACING_NS
 from groundstation.channel.training.model import CnnLstm
 
 _WARM_UP_EPOCHS = 1
@@ -39,6 +40,8 @@ class FitOptions:
     weight_decay: float
     crop_probability: float
     """Chance that a batch is cropped to a window round the first path, as small sensors send it."""
+    blind_probability: float = 0.0
+    """Chance that a batch is seen as if its tap spacing had not been told."""
 
 
 @dataclass(slots=True)
@@ -115,30 +118,49 @@ def _train_epoch(
     rng = np.random.default_rng([options.seed, epoch])
     torch.manual_seed(int(rng.integers(2**31)))
     model.train()
-    order = rng.permutation(training)
-    batches = math.ceil(len(order) / options.batch_links)
+    counts = rng.integers(1, data.packets[training] + 1)
+    batches = _batches(training, counts, options.batch_links, rng)
     total = 0.0
-    for number, members in enumerate(np.array_split(order, batches)):
-        packets = int(rng.integers(1, int(data.packets[members].max()) + 1))
-        links = members[data.packets[members] >= packets]
-        if len(links) < 2:
-            continue
+    for number, (links, packets) in enumerate(batches):
         skip = rng.integers(0, data.packets[links] - packets + 1)
         batch = torch.from_numpy(data.batch(links, packets, skip))
         if rng.random() < options.crop_probability:
             batch = crop(batch, rng)
-        progress = (epoch - 1 + number / batches) / options.epochs
-        warm_up = min(1.0, (epoch - 1 + (number + 1) / batches) / _WARM_UP_EPOCHS)
+        if rng.random() < options.blind_probability:
+            batch = blind(batch)
+        progress = (epoch - 1 + number / len(batches)) / options.epochs
+        warm_up = min(1.0, (epoch - 1 + (number + 1) / len(batches)) / _WARM_UP_EPOCHS)
         for group in optimiser.param_groups:
             group["lr"] = options.learning_rate * warm_up * 0.5 * (1 + math.cos(math.pi * progress))
         target = torch.from_numpy(data.is_los[links].astype(np.float32))
-        loss = nn.functional.binary_cross_entropy_with_logits(model(batch), target)
+        weight = None if data.weight is None else torch.from_numpy(data.weight[links].astype(np.float32))
+        loss = nn.functional.binary_cross_entropy_with_logits(model(batch), target, weight)
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimiser.step()
         total += float(loss.detach()) * len(links)
-    return total / len(order)
+    return total / sum(len(links) for links, _ in batches)
+
+
+def _batches(
+    links: NDArray[np.int64], counts: NDArray[np.int64], size: int, rng: np.random.Generator
+) -> list[tuple[NDArray[np.int64], int]]:
+    """(links, number of captures) of each batch, in random order; each link is in one, unless it is alone."""
+    batches = []
+    for count in np.unique(counts):
+        members = rng.permutation(links[counts == count])
+        if len(members) > 1:
+            parts = np.array_split(members, math.ceil(len(members) / size))
+            batches += [(part, int(count)) for part in parts]
+    return [batches[place] for place in rng.permutation(len(batches))]
+
+
+def blind(batch: torch.Tensor) -> torch.Tensor:
+    """As if the file had not said its tap spacing."""
+    seen = batch.clone()
+    seen[:, :, 2] = torch.from_numpy(time_channel(np.array([UNKNOWN_SPACING_NS]))[0])
+    return seen
 
 
 def crop(batch: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
@@ -153,7 +175,11 @@ def crop(batch: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
 
 def _loss(model: nn.Module, data: LinkData, links: NDArray[np.int64]) -> float:
     sign = np.where(data.is_los[links], 1.0, -1.0)
-    losses = [np.logaddexp(0, -sign * logits(model, data, links, packets)).mean() for packets in (None, 1)]
+    weight = None if data.weight is None else data.weight[links]
+    losses = [
+        np.average(np.logaddexp(0, -sign * logits(model, data, links, packets)), weights=weight)
+        for packets in (None, 1)
+    ]
     return float(np.mean(losses))
 
 

@@ -20,17 +20,21 @@ class TrainingOptions:
     batch_links: int = 128
     learning_rate: float = 2e-3
     weight_decay: float = 1e-3
-    crop_probability: float = 0.3
+    crop_probability: float = 0.15
     """Chance that a batch is cropped to a window round the first path."""
+    blind_probability: float = 0.15
+    """Chance that a batch is seen as if its tap spacing had not been told."""
+    windows: tuple[int, ...] = (64, 64, 128, 256)
+    """Of a response at least twice as long as the shortest of these, training sees such a window round the
+    first path too, as a station asks for it, mostly the one that fits one frame; where groups are many."""
     shares: tuple[float, float, float] = (0.7, 0.15, 0.15)
     """Of the groups: training, validation (early stopping, calibration), test."""
     threads: int = 1
-    few_groups: int = 48
-    """Below as many logs of one class each, the network of ``start`` is adapted and judged by folds."""
+    few_groups: int = 200
+    """Fewer logs of one class each than this weigh known statistics (and the network of ``start`` as it is)
+    instead of training a network, and are judged by folds."""
     folds: int = 6
     """Folds over groups then."""
-    adapt_steps: int = 200
-    """Steps of an adaptation."""
     start: Path | None = None
     """Folder of the model to begin with; None = the shipped one where groups are few, else none."""
     learning_curve: bool = False

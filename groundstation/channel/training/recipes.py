@@ -1,8 +1,7 @@
-"""The two ways to a calibrated network: from many groups, and from few.
+"""From many groups to a calibrated network; what both recipes give.
 
 Why: with thousands of geometries a part can be held back for early stopping, calibration
-and figures; with two dozen measured logs nothing can be spared, so that folds give the
-figures and the calibration, and the network that is kept has seen all logs. Rule kept here: no figure and
+and figures (few measured logs: :mod:`.measured_recipe`). Rule kept here: no figure and
 no calibration from links that the network in question was trained on.
 """
 
@@ -10,20 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from groundstation.channel.calibration import Calibration, even_weights, fit_calibration
-from groundstation.channel.training.adapt import AdaptOptions, State, adapt, cross_fit, deal_groups
 from groundstation.channel.training.card import CurvePoint, SeedFigures
 from groundstation.channel.training.data import LinkData, split_by_group
-from groundstation.channel.training.evaluation import Evaluation, evaluation
+from groundstation.channel.training.evaluation import Evaluation
 from groundstation.channel.training.fit import FitOptions, fit, logits
-from groundstation.channel.training.metrics import auc, figures
+from groundstation.channel.training.metrics import figures
 from groundstation.channel.training.model import CnnLstm
 from groundstation.channel.training.options import TrainingOptions, TrainingProgress
 
@@ -52,12 +51,16 @@ class Trained:
     """How links were divided, for the card."""
     epochs: int
     """Epochs (or folds) done in this run."""
+    exported: nn.Module | None = None
+    """What is exported instead of ``model``; None where that is it."""
+    method: str = ""
+    """What was trained and why, where it is not the network."""
 
 
 def from_many(
     data: LinkData,
     options: TrainingOptions,
-    state: State | None,
+    state: dict[str, torch.Tensor] | None,
     folder: Path,
     fingerprint: str,
     report: Report,
@@ -67,6 +70,8 @@ def from_many(
     counts = [None, 1] if int(data.packets.max()) > 1 else [None]
     truth = np.tile(data.is_los[validation], len(counts))
     weight = even_weights(truth)
+    if data.weight is not None:
+        weight = weight * np.tile(data.weight[validation], len(counts))
     best: tuple[float, int, CnnLstm, Calibration] | None = None
     seeds: list[SeedFigures] = []
     epochs = 0
@@ -91,7 +96,7 @@ def from_many(
         )
         logit = np.concatenate([logits(model, data, validation, count) for count in counts])
         calibration = fit_calibration(logit, truth, weight)
-        loss = float(np.mean(np.logaddexp(0, -np.where(truth, 1, -1) * logit)))
+        loss = float(np.average(np.logaddexp(0, -np.where(truth, 1, -1) * logit), weights=weight))
         now = figures(calibration.probability(logits(model, data, test)), data.is_los[test])
         seeds.append(SeedFigures(seed, loss, now.accuracy, now.balanced_accuracy, now.auc, now.ece))
         if best is None or loss < best[0]:
@@ -121,93 +126,10 @@ def from_many(
     )
 
 
-def from_few(
-    data: LinkData,
-    options: TrainingOptions,
-    state: State | None,
-    folder: Path,
-    fingerprint: str,
-    report: Report,
-) -> Trained:
-    """Figures and calibration by folds over groups; the network kept has seen all of them."""
-    evaluations: list[Evaluation] = []
-    seeds: list[SeedFigures] = []
-    kept: NDArray[np.float64] | None = None
-    for seed in range(options.seed, options.seed + options.seeds):
-        logit, probability = _by_folds(data, options, state, folder, fingerprint, seed, 1.0, report)
-        kept = logit if kept is None else kept
-        title = f"logs held out in {options.folds} folds, dealt with seed {seed}"
-        now = evaluation(title, probability, data.is_los, data.group)
-        evaluations.append(now)
-        f = now.figures
-        seeds.append(SeedFigures(seed, math.nan, f.accuracy, f.balanced_accuracy, f.auc, f.ece))
-    assert kept is not None
-    curve: list[CurvePoint] = []
-    if options.learning_curve:
-        fold = deal_groups(data, options.folds, options.seed)
-        for share in (1 / 3, 2 / 3):
-            logit, probability = _by_folds(
-                data, options, state, folder, fingerprint, options.seed, share, report
-            )
-            curve.append(_point(data, share, fold, probability))
-        first = evaluations[0].figures
-        curve.append(CurvePoint(_groups(data, 1.0, fold), first.auc, first.balanced_accuracy))
-    everything = np.arange(len(data))
-    return Trained(
-        model=adapt(state, data, everything, _adapt_options(options, options.seed)),
-        calibration=fit_calibration(kept, data.is_los, _log_weights(data)),
-        seed=options.seed,
-        training=everything,
-        validation=everything[:0],
-        test=everything[:0],
-        evaluations=tuple(evaluations),
-        seeds=tuple(seeds),
-        curve=tuple(curve),
-        split=(
-            f"Few groups: the figures are of {options.folds} networks, each judged on logs that neither it "
-            "nor its calibration saw; the network kept was trained on all logs in the same way."
-        ),
-        epochs=options.folds * options.seeds,
-    )
-
-
-def _by_folds(
-    data: LinkData,
-    options: TrainingOptions,
-    state: State | None,
-    folder: Path,
-    fingerprint: str,
-    seed: int,
-    share: float,
-    report: Report,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(links,) logits and probabilities, each by a network and a calibration of other folds."""
-    fold = deal_groups(data, options.folds, seed)
-    checkpoint = folder / f"checkpoint-{seed}-{round(100 * share)}.npz"
-    label = f"folds of seed {seed}" + (f", {100 * share:.0f} % of the logs" if share < 1 else "")
-    logit = cross_fit(
-        state,
-        data,
-        fold,
-        _adapt_options(options, seed),
-        checkpoint,
-        fingerprint,
-        lambda done, total: report(TrainingProgress("training", done, total, label)),
-        share=share,
-    )
-    weight = _log_weights(data)
-    probability = np.empty(len(data))
-    for number in range(options.folds):
-        held_out = fold == number
-        calibration = fit_calibration(logit[~held_out], data.is_los[~held_out], weight[~held_out])
-        probability[held_out] = calibration.probability(logit[held_out])
-    return logit, probability
-
-
 def _curve_of_many(
     data: LinkData,
     options: TrainingOptions,
-    state: State | None,
+    state: dict[str, torch.Tensor] | None,
     folder: Path,
     fingerprint: str,
     parts: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
@@ -236,28 +158,6 @@ def _curve_of_many(
     return tuple(points)
 
 
-def _groups(data: LinkData, share: float, fold: NDArray[np.int64]) -> int:
-    total = len(np.unique(data.group))
-    return round(share * total * (1 - 1 / (int(fold.max()) + 1)))
-
-
-def _point(
-    data: LinkData, share: float, fold: NDArray[np.int64], probability: NDArray[np.float64]
-) -> CurvePoint:
-    now = figures(probability, data.is_los)
-    return CurvePoint(_groups(data, share, fold), auc(probability, data.is_los), now.balanced_accuracy)
-
-
-def _log_weights(data: LinkData) -> NDArray[np.float64]:
-    """(links,) every log of a class alike, both classes alike; they sum to the number of groups."""
-    _, index, count = np.unique(data.group, return_inverse=True, return_counts=True)
-    weight = 1 / count[index]
-    for state in (True, False):
-        part = data.is_los == state
-        weight[part] *= 0.5 * len(count) / weight[part].sum()
-    return np.asarray(weight, np.float64)
-
-
 def _fit_options(options: TrainingOptions, seed: int) -> FitOptions:
     return FitOptions(
         seed=seed,
@@ -267,12 +167,8 @@ def _fit_options(options: TrainingOptions, seed: int) -> FitOptions:
         learning_rate=options.learning_rate,
         weight_decay=options.weight_decay,
         crop_probability=options.crop_probability,
+        blind_probability=options.blind_probability,
     )
-
-
-def _adapt_options(options: TrainingOptions, seed: int) -> AdaptOptions:
-    defaults = AdaptOptions(seed=seed, steps=options.adapt_steps)
-    return replace(defaults, crop_probability=options.crop_probability)
 
 
 def novelty_inputs(

@@ -10,16 +10,17 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import math
+import os
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from groundstation.channel.classifier import MODEL_FILE, WEIGHTS_DIR, load_classifier
 from groundstation.channel.training.card import Card, write_card
-from groundstation.channel.training.data import LinkData, read_links, split_by_group
+from groundstation.channel.training.data import LinkData, joined, read_links, read_windows, split_by_group
 from groundstation.channel.training.evaluation import Evaluation, evaluate, evaluate_splits, judged
 from groundstation.channel.training.metrics import Figures
 from groundstation.channel.training.options import TrainingOptions, TrainingProgress
@@ -45,6 +46,8 @@ class TrainingReport:
     temperature: float
     test: Figures
     evaluations: tuple[Evaluation, ...]
+    method: str = ""
+    """What was made of few logs instead of a newly trained network, and why."""
 
 
 def train(
@@ -54,13 +57,15 @@ def train(
     options: TrainingOptions | None = None,
     also: Sequence[Path] = (),
     evaluate: Sequence[tuple[str, Path]] = (),
+    tap_spacing_ns: float | None = None,
     command: str | None = None,
     progress: Callable[[TrainingProgress], None] | None = None,
 ) -> TrainingReport:
     """Train, calibrate and export a classifier from ``data`` (NPZ or CSV) into folder ``out``.
 
     ``also`` lists further files to train on, each with groups of its own; ``evaluate`` lists
-    further files, with titles, that the card gives figures on. An interrupted run with the same
+    further files, with titles, that the card gives figures on; ``tap_spacing_ns`` holds for all files
+    that do not tell theirs. An interrupted run with the same
     files and options goes on at its last epoch or fold. Raises InputError on unusable data,
     ResourceError where the ``train`` extra is missing.
     """
@@ -68,17 +73,41 @@ def train(
     report = progress or (lambda _: None)
     if out.exists() and not out.is_dir():
         raise InputError(f"--out {out} is a file; a folder is needed")
+    existing = next((folder for folder in (out, *out.absolute().parents) if folder.exists()), out)
+    if not (existing.is_dir() and os.access(existing, os.W_OK)):
+        raise InputError(f"--out {out}: {existing} is no folder that can be written to")
     if options.seeds < 1:
         raise InputError(f"{options.seeds} seeds; at least 1 is needed")
-    links = read_links(data, lambda done, total: report(TrainingProgress("reading", done, total)))
-    links = merged([links, *(read_links(path) for path in also)])
+    links = read_links(
+        data,
+        lambda done, total: report(TrainingProgress("reading", done, total)),
+        tap_spacing_ns=tap_spacing_ns,
+    )
+    parts = [links, *(read_links(path, tap_spacing_ns=tap_spacing_ns) for path in also)]
+    links = merged(parts)
     if not is_few(links, options):
         split_by_group(links, options.shares, options.seed)
-    others = [(title, read_links(path)) for title, path in evaluate]
+        links = merged(
+            [
+                _with_windows(part, path, options, tap_spacing_ns)
+                for part, path in zip(parts, [data, *also], strict=True)
+            ]
+        )
+    others = [(title, read_links(path, tap_spacing_ns=tap_spacing_ns)) for title, path in evaluate]
     for module in ("torch", "onnx", "onnxscript"):
         if importlib.util.find_spec(module) is None:
             raise ResourceError(f"training needs {module}: pip install 'groundstation[train]'")
     return _train([data, *also], links, out, options, others, command, report)
+
+
+def _with_windows(
+    part: LinkData, path: Path, options: TrainingOptions, tap_spacing_ns: float | None
+) -> LinkData:
+    """The links of a file, and those that are long enough once more as a sensor's window."""
+    if not options.windows:
+        return part
+    cut = read_windows(path, options.windows, options.seed, tap_spacing_ns=tap_spacing_ns)
+    return replace(joined([part, cut]), left_out=part.left_out)
 
 
 def is_few(data: LinkData, options: TrainingOptions) -> bool:
@@ -91,9 +120,10 @@ def is_few(data: LinkData, options: TrainingOptions) -> bool:
 
 
 def merged(parts: Sequence[LinkData]) -> LinkData:
-    """The links of several files as of one; no group is in two of them."""
+    """The links of several files as of one; no group is in two of them, and all files weigh alike."""
     if len(parts) == 1:
         return parts[0]
+    lengths = np.array([len(part) for part in parts])
     captures = np.cumsum([0, *(len(part.inputs) for part in parts)])
     groups = np.cumsum([0, *(int(part.group.max()) + 1 for part in parts)])
     return LinkData(
@@ -106,6 +136,8 @@ def merged(parts: Sequence[LinkData]) -> LinkData:
         window_taps=np.concatenate([part.window_taps for part in parts]),
         left_out=dict(sorted(sum((Counter(part.left_out) for part in parts), Counter()).items())),
         grouped=all(part.grouped for part in parts),
+        source=np.repeat(np.arange(len(parts)), lengths),
+        weight=np.repeat(lengths.sum() / len(parts) / lengths, lengths),
     )
 
 
@@ -120,7 +152,7 @@ def _train(
 ) -> TrainingReport:
     import torch
 
-    from groundstation.channel.training import export, recipes
+    from groundstation.channel.training import export, measured_recipe, recipes
     from groundstation.channel.training.model import WithNovelty, novelty_statistics, parameter_count
 
     torch.set_num_threads(options.threads)
@@ -128,13 +160,15 @@ def _train(
     start = options.start or (WEIGHTS_DIR if few else None)
     state = None if start is None else export.load_weights(start)
     out.mkdir(parents=True, exist_ok=True)
-    recipe = recipes.from_few if few else recipes.from_many
-    trained = recipe(links, options, state, out, _fingerprint(links, options), report)
+    if few:
+        assert state is not None
+        trained = measured_recipe.from_few(links, options, state, report)
+    else:
+        trained = recipes.from_many(links, options, state, out, _fingerprint(links, options), report)
 
     calibration = trained.calibration
-    if few:
-        network: torch.nn.Module = trained.model
-    else:
+    network = trained.exported
+    if network is None:
         embedding = recipes.novelty_inputs(trained.model, links, trained.training)
         network = WithNovelty(trained.model, *novelty_statistics(embedding))
     model_path = export.export_onnx(network, out)
@@ -162,7 +196,7 @@ def _train(
         write_metadata(novelty_max)
     evaluations = list(trained.evaluations)
     if len(trained.test):
-        evaluations += evaluate_splits(classifier, links, trained.test)
+        evaluations += evaluate_splits(classifier, links, trained.test, names=[path.name for path in data])
     report(TrainingProgress("evaluating", 1, 1 + len(others)))
     for number, (title, other) in enumerate(others):
         everything = np.arange(len(other))
@@ -171,7 +205,7 @@ def _train(
             evaluations.append(evaluate(classifier, other, everything, f"{title}, first capture only", 1))
         report(TrainingProgress("evaluating", 2 + number, 1 + len(others)))
 
-    parameters = parameter_count(trained.model)
+    parameters = parameter_count(network)
     notes = out / "notes.md"
     write_card(
         out,
@@ -196,6 +230,7 @@ def _train(
             learning_curve=trained.curve,
             novelty_rate=novelty_rate,
             notes=notes.read_text(encoding="utf-8") if notes.is_file() else "",
+            method=trained.method,
         ),
     )
     for checkpoint in out.glob("checkpoint-*.npz"):
@@ -208,6 +243,7 @@ def _train(
         temperature=calibration.temperature,
         test=evaluations[0].figures,
         evaluations=tuple(evaluations),
+        method=trained.method,
     )
 
 
