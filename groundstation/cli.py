@@ -45,7 +45,19 @@ SetOption = Annotated[
 ]
 AreaOption = Annotated[
     Path | None,
-    typer.Option("--area", metavar="FILE.geojson", help="Search area (polygon, WGS84 longitude, latitude)."),
+    typer.Option(
+        "--area",
+        metavar="FILE.geojson",
+        help="Search area (polygon), last known places (Points with radius_m).",
+    ),
+]
+TerrainOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--terrain",
+        metavar="FILE",
+        help="Heights of the ground: .hgt, .asc or .tif; without it, level ground.",
+    ),
 ]
 FenceOption = Annotated[
     Path | None,
@@ -114,6 +126,7 @@ def serve(
         ),
     ] = None,
     area: AreaOption = None,
+    terrain: TerrainOption = None,
     fence: FenceOption = None,
     data_dir: DataDirOption = None,
     resume: Annotated[
@@ -147,6 +160,7 @@ def serve(
         forward=forward,
         forward_commands=forward_commands,
         area=area,
+        terrain=terrain,
         fence=fence,
         data_dir=data_dir,
     )
@@ -209,8 +223,15 @@ def demo(
 def replay(
     source: Annotated[Path, typer.Argument(metavar="FILE.tlog|SESSION_DIR")],
     area: AreaOption = None,
+    terrain: TerrainOption = None,
     output_format: Annotated[Format, typer.Option("--format", help="Of the estimates.")] = Format.JSON,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: standard output.")] = None,
+    search_maps: Annotated[
+        Path | None,
+        typer.Option(
+            "--search-maps", metavar="DIR", help="Gets a search map of each beacon as ESRI ASCII grids (GIS)."
+        ),
+    ] = None,
     speed: Annotated[
         float | None,
         typer.Option(min=0.05, max=1000.0, help="Show it on the page this many times as fast as it was."),
@@ -231,11 +252,12 @@ def replay(
     set_up(json=log_json, quiet=quiet)
     run_replay(
         source,
-        load(config, assignments, http=http, area=area),
+        load(config, assignments, http=http, area=area, terrain=terrain),
         settings_given=bool(config or assignments),
         output_format=output_format.value,
         out=out,
         speed=speed,
+        search_maps=search_maps,
     )
 
 

@@ -1,4 +1,4 @@
-"""Search area and fence from GeoJSON files, and back.
+"""Search area, last known places and fence from GeoJSON files, and back.
 
 Rule: a fence decides where an aircraft may go, so nothing is guessed and nothing repaired:
 what is not plainly a valid polygon on WGS84 is refused with the file, what was seen and what
@@ -20,7 +20,7 @@ from shapely.validation import explain_validity
 
 from groundstation.domain.errors import InputError
 from groundstation.domain.geometry import Geodetic
-from groundstation.domain.mission import Area, Ring
+from groundstation.domain.mission import Area, LastKnownPlace, Ring
 
 MAX_FILE_BYTES = 10_000_000
 MAX_POINTS = 10_000
@@ -28,6 +28,10 @@ MAX_POINTS = 10_000
 MAX_EXTENT_M = 200_000.0
 """Across: a wider area does not fit one local frame, and is more likely a mistake."""
 DISC_CORNERS = 64
+MAX_RADIUS_M = 50_000.0
+"""Of a last known place."""
+LAST_KNOWN = "last-known"
+"""What a Point may say of itself in its property ``role``."""
 _METERS_PER_DEG = 111_320.0
 _FAR_M = 100_000.0
 _MAX_DEPTH = 5
@@ -41,24 +45,101 @@ def read_area(path: Path) -> Area:
     Raises:
         InputError: file, what was seen, what is needed.
     """
-    try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise InputError(f"{path}: {size} bytes; a GeoJSON file of at most {MAX_FILE_BYTES} is needed")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from error
-    return parse_area(data, str(path), path.stem)
+    return parse_area(_read(path), str(path), path.stem)
+
+
+def read_search(path: Path) -> tuple[Area | None, tuple[LastKnownPlace, ...]]:
+    """The search area in a GeoJSON file, and the last known places in it.
+
+    A last known place is a Feature with a Point and the property ``radius_m``: of the circle
+    that is trusted to hold the person nine times in ten; ``name`` and ``beacon_id`` (decimal
+    text) are optional. A file of such points alone gives no area.
+
+    Raises:
+        InputError: file, what was seen, what is needed.
+    """
+    return parse_search(_read(path), str(path), path.stem)
+
+
+def parse_search(data: bytes, source: str, name: str = "") -> tuple[Area | None, tuple[LastKnownPlace, ...]]:
+    """The same from GeoJSON text; ``source`` begins the error's text. Raises InputError."""
+    document = _document(data, source)
+    places: list[LastKnownPlace] = []
+    rest = _without_points(document, source, places)
+    if rest is None and places:
+        return None, tuple(places)
+    return _area(rest if places else document, source, name), tuple(places)
 
 
 def parse_area(data: bytes, source: str, name: str = "") -> Area:
     """The area in GeoJSON text; ``source`` begins the error's text. Raises InputError."""
+    return _area(_document(data, source), source, name)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise InputError(f"{path}: {size} bytes; a GeoJSON file of at most {MAX_FILE_BYTES} is needed")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
+
+
+def _document(data: bytes, source: str) -> Any:
     try:
         document = orjson.loads(data.removeprefix(b"\xef\xbb\xbf"))
     except orjson.JSONDecodeError as error:
         raise InputError(f"{source}: not valid JSON: {error}") from error
     if isinstance(document, dict):
         _check_crs(document, source)
+    return document
+
+
+def _without_points(document: Any, source: str, places: list[LastKnownPlace], depth: int = 0) -> Any:
+    """``document`` without its last known places, which are appended to ``places``; None: nothing is left."""
+    if not isinstance(document, dict) or depth > _MAX_DEPTH:
+        return document
+    if document.get("type") == "FeatureCollection":
+        parts = [
+            _without_points(feature, source, places, depth + 1)
+            for feature in _list(document, "features", source)
+        ]
+        kept = [part for part in parts if part is not None]
+        return {**document, "features": kept} if kept or not parts else None
+    geometry = document.get("geometry") if document.get("type") == "Feature" else document
+    if not isinstance(geometry, dict) or geometry.get("type") != "Point":
+        return document
+    properties = document.get("properties")
+    places.append(_last_known(geometry, properties if isinstance(properties, dict) else {}, source))
+    return None
+
+
+def _last_known(point: dict[str, Any], properties: dict[str, Any], source: str) -> LastKnownPlace:
+    latitude, longitude = _corner(point.get("coordinates"), "a last known place", source)
+    radius = properties.get("radius_m")
+    if isinstance(radius, bool) or not isinstance(radius, int | float) or not 1.0 <= radius <= MAX_RADIUS_M:
+        raise InputError(
+            f"{source}: the Point [{longitude:g}, {latitude:g}] has the radius_m {radius!r}; a last known"
+            f" place needs the property radius_m, 1 to {MAX_RADIUS_M:g} metres, of a circle that is right"
+            " nine times in ten"
+        )
+    role, beacon = properties.get("role", LAST_KNOWN), properties.get("beacon_id")
+    if role != LAST_KNOWN:
+        raise InputError(f"{source}: a Point has the role {str(role)[:40]!r}; {LAST_KNOWN!r} is needed")
+    if beacon is not None and not (isinstance(beacon, str) and beacon.isdecimal() and int(beacon) < 2**64):
+        raise InputError(f"{source}: a Point has the beacon_id {beacon!r}; its digits as text are needed")
+    name = properties.get("name")
+    return LastKnownPlace(
+        latitude,
+        longitude,
+        float(radius),
+        name if isinstance(name, str) else "",
+        None if beacon is None else int(beacon),
+    )
+
+
+def _area(document: Any, source: str, name: str) -> Area:
     names: list[str] = []
     polygons = [_polygon(rings, source) for rings in _polygons(document, source, names)]
     if not polygons:

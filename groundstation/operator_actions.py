@@ -10,7 +10,7 @@ from typing import Protocol
 
 from groundstation.domain.command import CommandPhase, CommandStatus, ProposalGone
 from groundstation.domain.events import Event
-from groundstation.domain.inputs import AnyInput, Decision, OperatorInput
+from groundstation.domain.inputs import AnyInput, Decision, JoinInput, OperatorInput
 from groundstation.pipeline import Step
 from groundstation.server.actions import ActionResult
 
@@ -52,6 +52,16 @@ class OperatorActions:
         return self._result(
             self._station.take(OperatorInput(who, Decision.HOLD_ALL)), "all vehicles are told to hold"
         )
+
+    async def join(self, beacon_id: int, into_beacon_id: int, who: str) -> ActionResult:
+        """Take two ids for one transmitter."""
+        self._station.take(JoinInput(who, beacon_id, into_beacon_id))
+        return ActionResult(True, f"beacon {beacon_id} counts for beacon {into_beacon_id} from now on")
+
+    async def separate(self, beacon_id: int, who: str) -> ActionResult:
+        """Take a join back."""
+        self._station.take(JoinInput(who, beacon_id, None))
+        return ActionResult(True, f"beacon {beacon_id} stands for itself again")
 
     def _result(self, step: Step, text: str) -> ActionResult:
         statuses = [o for o in step.desk if isinstance(o, CommandStatus)]

@@ -15,9 +15,9 @@ from typing import Any
 from groundstation.command.desk import CommandDesk
 from groundstation.command.outputs import DeskOutput, SendFrame
 from groundstation.domain.geometry import Geodetic
-from groundstation.domain.inputs import DropInput, MissionInput, Record, SessionInput, TickInput
+from groundstation.domain.inputs import DropInput, JoinInput, MissionInput, Record, SessionInput, TickInput
 from groundstation.domain.mission import Area, Mission
-from groundstation.domain.radio import LinkWindow
+from groundstation.domain.radio import LinkWindow, Listening
 from groundstation.domain.vehicle import VehicleState
 from groundstation.engine.estimator import EstimatorInput
 from groundstation.engine.ingest import Ingest, IngestOutput
@@ -60,9 +60,11 @@ class Pipeline:
         work: list[Work] = []
         if isinstance(record.input, MissionInput):
             self.mission = record.input.mission
-        if isinstance(record.input, MissionInput | SessionInput):
+        if isinstance(record.input, MissionInput | SessionInput | JoinInput):
             work.append(Work(record.seq, record.time_ns, record.input))
-        work.extend(Work(record.seq, record.time_ns, o) for o in ingested if isinstance(o, LinkWindow))
+        work.extend(
+            Work(record.seq, record.time_ns, o) for o in ingested if isinstance(o, LinkWindow | Listening)
+        )
         if isinstance(record.input, TickInput):
             work.append(Work(record.seq, record.time_ns, record.input))
         return Step(

@@ -27,7 +27,14 @@ from groundstation.domain.inputs import (
     TickInput,
 )
 from groundstation.domain.mission import Area, Mission
-from groundstation.domain.target import LinkVerdict, TargetState, TargetWaiting
+from groundstation.domain.target import (
+    LinkVerdict,
+    SearchMap,
+    TargetExplanation,
+    TargetJoined,
+    TargetState,
+    TargetWaiting,
+)
 from groundstation.domain.vehicle import VehicleState
 from groundstation.engine.estimator import Estimator, EstimatorOutput
 from groundstation.engine.ingest import Ingest
@@ -52,6 +59,9 @@ class ReplayResult:
 
     targets: dict[int, TargetState] = field(default_factory=dict)
     waiting: dict[int, TargetWaiting] = field(default_factory=dict)
+    joined: dict[int, TargetJoined] = field(default_factory=dict)
+    search_maps: dict[int, SearchMap] = field(default_factory=dict)
+    explanations: dict[int, TargetExplanation] = field(default_factory=dict)
     verdicts: dict[tuple[int, int], LinkVerdict] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
     counters: list[Counter] = field(default_factory=list)
@@ -110,14 +120,31 @@ class Replayer:
                 case TargetState():
                     result.targets[output.beacon_id] = output
                     result.waiting.pop(output.beacon_id, None)
+                    result.joined.pop(output.beacon_id, None)
                 case TargetWaiting():
+                    _forget(result, output.beacon_id)
                     result.waiting[output.beacon_id] = output
+                case TargetJoined():
+                    _forget(result, output.beacon_id)
+                    result.joined[output.beacon_id] = output
+                case SearchMap():
+                    result.search_maps[output.beacon_id] = output
+                case TargetExplanation():
+                    result.explanations[output.beacon_id] = output
                 case LinkVerdict():
                     result.verdicts[output.vehicle_id, output.beacon_id] = output
                 case VehicleState():
                     result.vehicles[output.vehicle_id] = output
                 case Event():
                     result.events.append(output)
+
+
+def _forget(result: ReplayResult, beacon_id: int) -> None:
+    """A beacon without an estimate (any more)."""
+    for table in (
+        result.targets, result.waiting, result.joined, result.search_maps, result.explanations
+    ):  # fmt: skip
+        table.pop(beacon_id, None)
 
 
 def tlog_inputs(

@@ -16,9 +16,9 @@ from groundstation.config import Config, LoadedConfig
 from groundstation.domain.errors import InputError, ResourceError
 from groundstation.domain.events import Event
 from groundstation.domain.inputs import ConnectionInput, MissionInput, Record
-from groundstation.domain.radio import LinkWindow
+from groundstation.domain.radio import LinkWindow, Listening
 from groundstation.engine.estimator import EstimatorOutput
-from groundstation.export import encode
+from groundstation.export import encode, search_map_archive, search_map_files
 from groundstation.logs import log_event
 from groundstation.mavlink.vehicle_message import VehicleMessage
 from groundstation.pipeline import Step
@@ -53,6 +53,14 @@ class ReplayActions:
         """Refused."""
         return ActionResult(False, REFUSAL)
 
+    async def join(self, beacon_id: int, into_beacon_id: int, who: str) -> ActionResult:
+        """Refused."""
+        return ActionResult(False, REFUSAL)
+
+    async def separate(self, beacon_id: int, who: str) -> ActionResult:
+        """Refused."""
+        return ActionResult(False, REFUSAL)
+
 
 def run_replay(
     source: Path,
@@ -62,6 +70,7 @@ def run_replay(
     output_format: str,
     out: Path | None,
     speed: float | None,
+    search_maps: Path | None = None,
 ) -> None:
     """The whole command. Raises InputError and ResourceError, one line each."""
     if not source.exists():
@@ -89,6 +98,8 @@ def run_replay(
         print(f"{source.name}: {note}", file=sys.stderr)
     for waiting in result.waiting.values():
         print(f"beacon {waiting.beacon_id}: no estimate: {waiting.needed}", file=sys.stderr)
+    if search_maps is not None:
+        _write_search_maps(search_maps, result)
     data = encode(output_format, result.sorted_targets())
     if out is None:
         sys.stdout.buffer.write(data)
@@ -99,6 +110,18 @@ def run_replay(
     except OSError as error:
         raise ResourceError(f"cannot write {out}: {error.strerror}") from error
     print(f"{out}: {len(result.targets)} beacons from {result.records} records", file=sys.stderr)
+
+
+def _write_search_maps(directory: Path, result: ReplayResult) -> None:
+    """Of each beacon two grids and their projection."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for beacon_id in sorted(result.search_maps):
+            for name, content in search_map_files(result.search_maps[beacon_id]).items():
+                (directory / name).write_bytes(content)
+    except OSError as error:
+        raise ResourceError(f"cannot write {directory}: {error.strerror}") from error
+    print(f"{directory}: search maps of {len(result.search_maps)} beacons", file=sys.stderr)
 
 
 def _run(
@@ -137,7 +160,7 @@ async def _on_page(source: Path, loaded: LoadedConfig, settings_given: bool, spe
         for output in (*step.ingest, *step.desk, *outputs):
             if isinstance(output, Event):
                 log_event(output)
-            if not isinstance(output, VehicleMessage | LinkWindow | SendFrame):
+            if not isinstance(output, VehicleMessage | LinkWindow | Listening | SendFrame):
                 hub.apply(output, record.time_ns)
 
     def show(record: Record, step: Step, outputs: list[EstimatorOutput]) -> None:
@@ -162,6 +185,8 @@ async def _on_page(source: Path, loaded: LoadedConfig, settings_given: bool, spe
     with stopping_on_signals(stop):
         print(f"map page: {url_of(listener)}", file=sys.stderr)
         async with asyncio.TaskGroup() as group:
-            app = create_app(hub, ReplayActions(), Sources(version=__version__))
+            app = create_app(
+                hub, ReplayActions(), Sources(search_map_file=search_map_archive, version=__version__)
+            )
             group.create_task(serve(app, listener, stop))
             group.create_task(play())

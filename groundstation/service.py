@@ -14,9 +14,10 @@ from pathlib import Path
 from groundstation.config import Config, LoadedConfig
 from groundstation.domain.errors import InputError
 from groundstation.domain.mission import Mission
-from groundstation.mission_files import read_area
+from groundstation.mission_files import read_area, read_search
 from groundstation.station import Station, StationOptions
 from groundstation.store.session import find_resumable
+from groundstation.terrain import read_terrain
 
 logger = logging.getLogger(__name__)
 
@@ -24,15 +25,18 @@ logger = logging.getLogger(__name__)
 def mission_of(config: Config) -> Mission:
     """The mission that the settings and their GeoJSON files describe. Raises InputError."""
     ground = config.target.ground_amsl_m
+    area, last_known = read_search(config.area) if config.area is not None else (None, ())
     return Mission(
         revision=1,
-        search_area=read_area(config.area) if config.area is not None else None,
+        search_area=area,
         fence=read_area(config.fence) if config.fence is not None else None,
         target_height_min_m=config.target.height_min_m,
         target_height_max_m=config.target.height_max_m,
         ground_amsl_m=ground,
         height_reference="settings" if ground is not None else "unknown",
         limits=config.limits,
+        last_known=last_known,
+        terrain=read_terrain(config.terrain, area) if config.terrain is not None else None,
     )
 
 

@@ -40,12 +40,12 @@ from groundstation.domain.inputs import (
     TickInput,
 )
 from groundstation.domain.mission import Mission
-from groundstation.domain.radio import LinkWindow
-from groundstation.domain.target import TargetState, TargetWaiting
+from groundstation.domain.radio import LinkWindow, Listening
+from groundstation.domain.target import TargetJoined, TargetState, TargetWaiting
 from groundstation.domain.vehicle import VehicleState
 from groundstation.engine.estimator import EstimatorOutput
 from groundstation.engine.ingest import Ingest
-from groundstation.export import encode
+from groundstation.export import encode, search_map_archive
 from groundstation.guidance import propose
 from groundstation.lanes import EstimatorLane, WindowKey
 from groundstation.logs import log_event
@@ -60,10 +60,11 @@ from groundstation.server.actions import Sources
 from groundstation.server.app import create_app
 from groundstation.server.hub import Hub
 from groundstation.server.picture import Picture
-from groundstation.server.rest import HealthCheck
+from groundstation.server.rest import HealthCheck, HistoryPoint
 from groundstation.server.rows import ForwardStatus, StationStatus
 from groundstation.server.serve import listen, serve, url_of
 from groundstation.session_settings import read_settings, write_settings
+from groundstation.store.queries import TargetPoint
 from groundstation.store.session import ResumedSession, open_new, resume
 
 logger = logging.getLogger(__name__)
@@ -211,7 +212,7 @@ class Station:
 
     def _show(self, record: Record, step: Step) -> None:
         for output in (*step.ingest, *step.desk):
-            if isinstance(output, VehicleMessage | LinkWindow | SendFrame):
+            if isinstance(output, VehicleMessage | LinkWindow | Listening | SendFrame):
                 continue
             if isinstance(output, Event):
                 self._event(output)
@@ -298,8 +299,12 @@ class Station:
             if isinstance(output, TargetState):
                 self.targets[output.beacon_id] = output
                 self.waiting.pop(output.beacon_id, None)
-            elif isinstance(output, TargetWaiting):
-                self.waiting[output.beacon_id] = output
+            elif isinstance(output, TargetWaiting | TargetJoined):
+                # Nobody is sent to, or told of, an id that has no estimate of its own (any more).
+                self.targets.pop(output.beacon_id, None)
+                self.waiting.pop(output.beacon_id, None)
+                if isinstance(output, TargetWaiting):
+                    self.waiting[output.beacon_id] = output
             self.hub.apply(output)
             self.session.database.store(output)
 
@@ -360,6 +365,8 @@ class Station:
             known,
             search_area=given.search_area or known.search_area,
             fence=given.fence or known.fence,
+            last_known=given.last_known or known.last_known,
+            terrain=given.terrain or known.terrain,
             target_height_min_m=given.target_height_min_m,
             target_height_max_m=given.target_height_max_m,
             limits=given.limits,
@@ -488,7 +495,17 @@ class Station:
         async def older_events(before_ns: int, limit: int) -> Sequence[Event]:
             return await asyncio.to_thread(self.session.database.reader.events_before, before_ns, limit)
 
-        return Sources(older_events=older_events, health=health, version=__version__)
+        async def history(beacon_id: int, since_ns: int, limit: int) -> Sequence[HistoryPoint]:
+            curve = self.session.database.reader.target_curve
+            return [point_row(point) for point in await asyncio.to_thread(curve, beacon_id, since_ns, limit)]
+
+        return Sources(
+            older_events=older_events,
+            history=history,
+            search_map_file=search_map_archive,
+            health=health,
+            version=__version__,
+        )
 
     async def _end(self) -> None:
         """Close in order: radios, journal (``ended``), the estimator's last work, the child."""
@@ -520,6 +537,19 @@ def _engines_of_session(config: Config, resume_from: Path | None) -> Config:
         estimator=kept.estimator,
         safety=kept.safety,
         command=kept.command,
+    )
+
+
+def point_row(point: TargetPoint) -> HistoryPoint:
+    """A belief of the database for the page."""
+    return HistoryPoint(
+        time_ns=str(point.time_ns),
+        latitude_deg=point.latitude_deg,
+        longitude_deg=point.longitude_deg,
+        altitude_amsl_m=point.altitude_amsl_m,
+        radius_90_m=point.radius_90_m,
+        windows=point.windows,
+        links=point.links,
     )
 
 

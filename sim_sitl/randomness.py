@@ -25,6 +25,7 @@ class Stream(IntEnum):
     WIND = 10
     LOSSY_LINK = 11
     PACKETS = 12
+    SURVEY = 13
 
 
 def generator(seed: int, stream: Stream, *key: int) -> np.random.Generator:

@@ -13,12 +13,14 @@ from hypothesis import strategies as st
 
 from groundstation.domain.errors import InputError
 from groundstation.domain.geometry import Geodetic, LocalFrame
+from groundstation.domain.mission import LastKnownPlace
 from groundstation.mission_files import (
     MAX_POINTS,
     area_geojson,
     disc_area,
     distance_warning,
     parse_area,
+    parse_search,
     read_area,
 )
 
@@ -232,3 +234,64 @@ def test_an_area_far_from_the_vehicles_is_told() -> None:
     assert text is not None
     assert "'slope' is" in text
     assert "swapped" not in text
+
+
+def point(**properties: Any) -> dict[str, Any]:
+    geometry = {"type": "Point", "coordinates": [149.165, -35.364, 600.0]}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def search(document: Any) -> Any:
+    return parse_search(json.dumps(document).encode(), "area.geojson", "file")
+
+
+def test_last_known_places_stand_beside_the_area() -> None:
+    collection = {
+        "type": "FeatureCollection",
+        "features": [
+            point(radius_m=80, name="hut", role="last-known"),
+            feature(polygon(SQUARE), "slope"),
+            point(radius_m=250.5, beacon_id="18446744073709551615"),
+        ],
+    }
+    area, places = search(collection)
+    assert area == parse(feature(polygon(SQUARE), "slope"))
+    assert places == (
+        LastKnownPlace(-35.364, 149.165, 80.0, "hut", None),
+        LastKnownPlace(-35.364, 149.165, 250.5, "", 2**64 - 1),
+    )
+    assert search(polygon(SQUARE, HOLE)) == (parse(polygon(SQUARE, HOLE)), ())
+    alone, places = search(point(radius_m=80))
+    assert alone is None
+    assert len(places) == 1
+
+
+@pytest.mark.parametrize(
+    ("properties", "expected"),
+    [
+        ({}, "radius_m None"),
+        ({"radius_m": "80"}, "radius_m '80'"),
+        ({"radius_m": 0.0}, "1 to 50000 metres"),
+        ({"radius_m": True}, "radius_m True"),
+        ({"radius_m": 80, "role": "launch"}, "'launch'; 'last-known' is needed"),
+        ({"radius_m": 80, "beacon_id": 77}, "beacon_id 77; its digits as text"),
+    ],
+)
+def test_a_point_that_is_no_last_known_place_is_refused(properties: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InputError, match=expected) as caught:
+        search({"type": "FeatureCollection", "features": [feature(polygon(SQUARE)), point(**properties)]})
+    assert str(caught.value).startswith("area.geojson: ")
+
+
+def test_a_fence_has_no_last_known_places() -> None:
+    with pytest.raises(InputError, match="has a Point; only Polygon"):
+        parse(point(radius_m=80))
+
+
+def test_a_search_file_is_held_to_the_rules_of_areas() -> None:
+    swapped = point(radius_m=80)
+    swapped["geometry"]["coordinates"] = [-35.364, 149.165]
+    with pytest.raises(InputError, match="look swapped"):
+        search(swapped)
+    with pytest.raises(InputError, match="no polygon in it"):
+        search({"type": "FeatureCollection", "features": []})

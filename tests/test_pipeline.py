@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from groundstation.command.desk import CommandDesk
 from groundstation.domain.geometry import Geodetic
-from groundstation.domain.inputs import DropInput, MissionInput, Record, SessionInput, TickInput
+from groundstation.domain.inputs import DropInput, JoinInput, MissionInput, Record, SessionInput, TickInput
 from groundstation.domain.mission import Mission
 from groundstation.domain.vehicle import Autopilot, VehicleState
 from groundstation.engine.ingest import Ingest
@@ -58,9 +58,14 @@ def test_a_recording_without_an_area_gets_a_disc_round_the_first_place() -> None
     assert mission_with_origin(mission, vehicle(home=HOME), lambda place: disc_area(place, 500.0)) is None
 
 
-def test_missions_ticks_and_session_events_reach_the_estimator_in_order() -> None:
+def test_missions_ticks_joins_and_session_events_reach_the_estimator_in_order() -> None:
     pipeline = Pipeline(Ingest(), CommandDesk(replay=True))
-    inputs = [SessionInput("began", "0"), MissionInput(Mission(1, HOME), "test"), TickInput()]
+    inputs = [
+        SessionInput("began", "0"),
+        MissionInput(Mission(1, HOME), "test"),
+        TickInput(),
+        JoinInput("ann", 8, 7),
+    ]
     steps = [pipeline.handle(Record(seq, seq, 0, entry)) for seq, entry in enumerate(inputs)]
     assert [[work.item for work in step.work] for step in steps] == [[entry] for entry in inputs]
     assert pipeline.mission.origin == HOME

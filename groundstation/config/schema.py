@@ -46,9 +46,11 @@ class Config:
     forward_commands: bool = False
     """Whether those stations may command the vehicles; false: they only listen."""
     area: Path | None = None
-    """GeoJSON file of the search area."""
+    """GeoJSON file of the search area; Points with a radius_m in it are last known places."""
     fence: Path | None = None
     """GeoJSON file of where vehicles may go; none: nothing is commanded."""
+    terrain: Path | None = None
+    """File of the ground's heights (.hgt, .asc, .tif); none: the ground is level."""
     target: TargetSettings = field(default_factory=TargetSettings)
     """Heights of beacons."""
     limits: FlightLimits = field(default_factory=FlightLimits)

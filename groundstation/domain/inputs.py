@@ -67,6 +67,17 @@ class OperatorInput:
 
 
 @dataclass(frozen=True, slots=True)
+class JoinInput:
+    """An operator says that two ids are one transmitter (a phone that changed its random address)."""
+
+    who: str
+    beacon_id: int
+    """The id that is another one's."""
+    into_beacon_id: int | None
+    """The id whose belief takes its windows in; None: taken back, ``beacon_id`` stands for itself again."""
+
+
+@dataclass(frozen=True, slots=True)
 class ConnectionInput:
     """A connection changed state."""
 
@@ -116,6 +127,7 @@ AnyInput = (
     | DropInput
     | PlanInput
     | SessionInput
+    | JoinInput
 )
 
 

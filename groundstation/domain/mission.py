@@ -1,4 +1,7 @@
-"""What the operator set: origin, search area, fence, limits. Revised as a whole, journalled."""
+"""What the operator set: origin, search area, what is known before, fence, limits.
+
+Revised as a whole, journalled as a whole: a replay needs no other file.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,41 @@ class Area:
 
     polygons: tuple[tuple[Ring, ...], ...]
     name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LastKnownPlace:
+    """Where somebody was last known to be: seen, or by the last call of a phone."""
+
+    latitude_deg: float
+    longitude_deg: float
+    radius_m: float
+    """Of the circle that is trusted to hold the person nine times in ten."""
+    name: str = ""
+    beacon_id: int | None = None
+    """Of the beacon that this is known of; None: of any of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Terrain:
+    """Heights of the ground at the nodes of a grid on WGS84, as read from a file and cut to the mission."""
+
+    south_deg: float
+    """Latitude of the first row."""
+    west_deg: float
+    """Longitude of the first column."""
+    latitude_step_deg: float
+    longitude_step_deg: float
+    columns: int
+    altitude_dm: tuple[int | None, ...]
+    """Altitude above mean sea level, decimetres, row by row from the south-west; None: not known."""
+    source: str
+    """The file's name, for people."""
+
+    @property
+    def rows(self) -> int:
+        """From south to north."""
+        return len(self.altitude_dm) // self.columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,3 +93,7 @@ class Mission:
     height_reference: str = "unknown"
     """Where ``ground_amsl_m`` comes from: ``terrain``, ``home``, ``settings`` or ``unknown``."""
     limits: FlightLimits = field(default_factory=FlightLimits)
+    last_known: tuple[LastKnownPlace, ...] = ()
+    """Where a person was last known to be: a prior for the search, never a fence."""
+    terrain: Terrain | None = None
+    """The ground's heights; where it has none, ``ground_amsl_m`` counts."""

@@ -101,3 +101,25 @@ class LinkActivity:
     samples_total: int
     captures_total: int
     captures_incomplete_total: int
+
+
+@dataclass(frozen=True, slots=True)
+class Listener:
+    """One vehicle that listened for a while: its sensor lived, and its place was known."""
+
+    vehicle_id: int
+    position: Geodetic
+    """In the middle of the interval."""
+    packets: tuple[tuple[int, int], ...]
+    """(beacon_id, packets) heard, by beacon; a beacon that is missing was not heard."""
+
+
+@dataclass(frozen=True, slots=True)
+class Listening:
+    """Who listened where during one interval, and what was heard: what silence is read from."""
+
+    start_ns: int
+    end_ns: int
+    """Station time; intervals of a run stand side by side."""
+    listeners: tuple[Listener, ...]
+    """By vehicle; one that is missing was not listening, as far as is known."""

@@ -95,6 +95,10 @@ class TargetState:
     regions: tuple[tuple[float, tuple[Ring, ...]], ...] = ()
     """Highest-density regions: share of the belief (0.5, 0.9, 0.95) and its rings, outer ones and
     holes under the even–odd rule; empty when none were computed for this update."""
+    walking_probability: float | None = None
+    """P(the person walks), given what was heard; None: not asked."""
+    joined_beacon_ids: tuple[int, ...] = ()
+    """Other ids of the same transmitter, as the operator said: their windows count here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,3 +111,87 @@ class TargetWaiting:
     links: int
     needed: str
     """What is missing, in the operator's words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contribution:
+    """What one vehicle brought to a belief, and how well it agrees with it."""
+
+    vehicle_id: int
+    weight: float
+    """Share, 0 to 1, of the information about the place that it brought; all add up to 1."""
+    area_factor: float
+    """Without its windows the space where the beacon may be were so many times as large; below 1: it
+    contradicts the others."""
+    windows: int
+    """Link windows taken in, since the first."""
+    redundant: int
+    """Not taken in: from a place already heard from often enough."""
+    outliers: int
+    """Taken in with less weight: implausible at every likely place."""
+    power_residual_db: float | None
+    """How much stronger it hears the beacon than the estimate explains (weaker: negative), dB."""
+    power_score: float | None
+    """The same in standard deviations: beyond ±2 is unusual, beyond ±3 does not fit."""
+    azimuth_residual_deg: float | None
+    """How far its bearing points to the right of the estimate (left: negative), degrees."""
+    azimuth_score: float | None
+    """The same in standard deviations."""
+    elevation_residual_deg: float | None
+    """How far its bearing points above the estimate (below: negative), degrees."""
+    elevation_score: float | None
+    """The same in standard deviations."""
+    los_probability: float | None
+    """Mean P(line of sight) of its windows as far as they are remembered; None: nobody judged them."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetExplanation:
+    """Why a belief is what it is: "why do you think so?"."""
+
+    beacon_id: int
+    time_ns: int
+    """Station time of the belief that is explained."""
+    sequence: int
+    """Of its ``TargetState``."""
+    contributions: tuple[Contribution, ...]
+    """By vehicle."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchMap:
+    """Where a beacon could be, as a raster: squares of a plane that touches WGS84 at ``origin``."""
+
+    beacon_id: int
+    time_ns: int
+    """Station time of the belief that was drawn."""
+    sequence: int
+    """Of the ``TargetState`` that it belongs to."""
+    origin: Geodetic
+    """Of the plane: east and north are counted from here."""
+    west_m: float
+    """East coordinate of the western edge."""
+    north_m: float
+    """North coordinate of the northern edge."""
+    cell_m: float
+    """Side of a square, metres."""
+    rows: int
+    columns: int
+    corners: Ring
+    """(latitude_deg, longitude_deg) of the outer corners: north-west, north-east, south-east, south-west."""
+    share: bytes
+    """Share of the belief in each square: little-endian float32, row by row from the north-west."""
+    containment: bytes
+    """For each square the share of the belief in the squares that are at least as likely, in units of
+    0.0001: little-endian uint16, in the same order. The squares up to 9000 are where 90 % lie."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetJoined:
+    """A beacon that is another one's: the operator said so. It has no belief of its own meanwhile."""
+
+    beacon_id: int
+    time_ns: int
+    first_heard_ns: int
+    last_heard_ns: int
+    into_beacon_id: int

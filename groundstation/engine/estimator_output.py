@@ -14,8 +14,10 @@ import pymap3d
 
 from groundstation.domain.geometry import Geodetic, LocalFrame
 from groundstation.domain.radio import LinkWindow
-from groundstation.domain.target import Covariance, Environment, SnapshotEstimate
+from groundstation.domain.target import Covariance, Environment, SearchMap, SnapshotEstimate, TargetState
+from groundstation.localization.containment import Raster
 from groundstation.localization.problem import FloatArray
+from groundstation.tracking.search_map import square_shares
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,33 @@ def regions_geodetic(regions: Any, frame: LocalFrame) -> tuple[Any, ...]:
             )
         result.append((share, tuple(turned)))
     return tuple(result)
+
+
+def search_map(state: TargetState, picture: Raster, frame: LocalFrame) -> SearchMap:
+    """The raster of a belief with its georeference."""
+    squares = square_shares(picture)
+    rows, columns = squares.share.shape
+    cell_m = round(picture.cell_m, 4)
+    west_m, south_m = round(picture.west_m, 3), round(picture.south_m, 3)
+    north_m, east_m = south_m + rows * cell_m, west_m + columns * cell_m
+    corners = []
+    for east, north in ((west_m, north_m), (east_m, north_m), (east_m, south_m), (west_m, south_m)):
+        place = frame.to_geodetic((east, north, 0.0))
+        corners.append((round(place.latitude_deg, 8), round(place.longitude_deg, 8)))
+    return SearchMap(
+        beacon_id=state.beacon_id,
+        time_ns=state.time_ns,
+        sequence=state.sequence,
+        origin=frame.origin,
+        west_m=west_m,
+        north_m=round(north_m, 3),
+        cell_m=cell_m,
+        rows=int(rows),
+        columns=int(columns),
+        corners=tuple(corners),
+        share=squares.share.astype("<f4").tobytes(),
+        containment=squares.containment.astype("<u2").tobytes(),
+    )
 
 
 def snapshot_state(snapshot: SnapshotEstimate) -> dict[str, Any]:

@@ -27,9 +27,15 @@ class EstimatorSettings:
     """Algorithm 1 runs at most this often a beacon, seconds."""
     regions_interval_s: float = 2.0
     """Containment regions are drawn at most this often a beacon, seconds."""
+    explanation_interval_s: float = 5.0
+    """What each vehicle contributed is worked out at most this often a beacon, seconds."""
+    explanations_interval_s: float = 0.5
+    """Shortest time between two explanations, of whichever beacons: bounds the load of many, seconds."""
     default_radius_m: float = 500.0
     """Without a search area: a disc of this radius round the first valid vehicle position, metres."""
     maximum_pending: int = 512
     """Windows of a beacon that may wait for an update; the oldest go first."""
     maximum_beacons: int = 512
     """Beacons kept; more are refused and counted."""
+    silence_interval_s: float = 10.0
+    """What nobody heard is weighed anew at most this often a beacon, seconds."""

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from groundstation.domain.geometry import Geodetic
-from groundstation.domain.mission import Area, Mission
+from groundstation.domain.mission import Area, LastKnownPlace, Mission, Terrain
 from groundstation.engine.estimator_beacon import Beacon
 from groundstation.engine.estimator_output import (
     HEARD_FIELDS,
@@ -20,7 +22,11 @@ from groundstation.engine.estimator_output import (
 )
 from groundstation.engine.estimator_settings import EstimatorSettings
 from groundstation.localization import SearchArea
-from groundstation.tracking import Belief
+from groundstation.tracking import Tracker
+from groundstation.tracking.detection import SilenceField
+from groundstation.tracking.silence import Silence
+
+_UNKNOWN_DM = -(2**31)
 
 
 def beacon_state(beacon: Beacon) -> dict[str, Any]:
@@ -39,6 +45,10 @@ def beacon_state(beacon: Beacon) -> dict[str, Any]:
         "regions_ns": beacon.regions_ns,
         "snapshot": None if beacon.snapshot is None else snapshot_state(beacon.snapshot),
         "failed": beacon.failed,
+        "explained": [beacon.explained_ns, beacon.explained_sequence],
+        "silence": None if beacon.silence is None else beacon.silence.state(),
+        "silence_field": None if beacon.silence_field is None else beacon.silence_field.state(),
+        "silence_ns": beacon.silence_ns,
     }
 
 
@@ -49,10 +59,21 @@ def beacon_from(tree: dict[str, Any], area: SearchArea | None, settings: Estimat
     for heard in (_heard(row) for row in tree["newest"]):
         beacon.newest[heard.vehicle_id] = heard
     if tree["belief"] is not None and area is not None:
-        beacon.belief = Belief.restore(tree["belief"], area, settings.localization.model, settings.tracking)
+        beacon.belief = Tracker.restore(
+            tree["belief"], area, settings.localization.model, settings.tracking, beacon.beacon_id
+        )
     beacon.sequence, beacon.windows = int(tree["sequence"]), int(tree["windows"])
     beacon.updated_ns, beacon.snapshot_ns = tree["updated_ns"], tree["snapshot_ns"]
     beacon.regions_ns, beacon.failed = tree["regions_ns"], bool(tree["failed"])
+    beacon.explained_ns, beacon.explained_sequence = tree["explained"]
+    if tree["silence"] is not None:
+        beacon.silence = Silence(settings.tracking)
+        beacon.silence.restore(tree["silence"])
+    if tree["silence_field"] is not None:
+        beacon.silence_field = SilenceField.restore(tree["silence_field"])
+        if beacon.belief is not None:
+            beacon.belief.set_field("silence", beacon.silence_field)
+    beacon.silence_ns = tree["silence_ns"]
     if tree["snapshot"] is not None:
         beacon.snapshot = snapshot_from_state(tree["snapshot"])
     return beacon
@@ -86,6 +107,11 @@ def mission_state(mission: Mission) -> dict[str, Any]:
         "target_height_max_m": mission.target_height_max_m,
         "ground_amsl_m": mission.ground_amsl_m,
         "height_reference": mission.height_reference,
+        "last_known": [
+            [place.latitude_deg, place.longitude_deg, place.radius_m, place.name, place.beacon_id]
+            for place in mission.last_known
+        ],
+        "terrain": None if mission.terrain is None else _terrain_state(mission.terrain),
     }
 
 
@@ -106,4 +132,34 @@ def mission_from(tree: dict[str, Any]) -> Mission:
         target_height_max_m=float(tree["target_height_max_m"]),
         ground_amsl_m=None if tree["ground_amsl_m"] is None else float(tree["ground_amsl_m"]),
         height_reference=str(tree["height_reference"]),
+        last_known=tuple(
+            LastKnownPlace(float(lat), float(lon), float(radius), str(name), beacon_id)
+            for lat, lon, radius, name, beacon_id in tree["last_known"]
+        ),
+        terrain=None if tree["terrain"] is None else _terrain_from(tree["terrain"]),
+    )
+
+
+def _terrain_state(terrain: Terrain) -> dict[str, Any]:
+    grid = [terrain.south_deg, terrain.west_deg, terrain.latitude_step_deg, terrain.longitude_step_deg]
+    altitude = [_UNKNOWN_DM if value is None else value for value in terrain.altitude_dm]
+    return {
+        "grid": grid,
+        "columns": terrain.columns,
+        "altitude_dm": np.array(altitude, dtype=np.int32),
+        "source": terrain.source,
+    }
+
+
+def _terrain_from(tree: dict[str, Any]) -> Terrain:
+    altitude = np.asarray(tree["altitude_dm"]).tolist()
+    south, west, latitude_step, longitude_step = (float(value) for value in tree["grid"])
+    return Terrain(
+        south_deg=south,
+        west_deg=west,
+        latitude_step_deg=latitude_step,
+        longitude_step_deg=longitude_step,
+        columns=int(tree["columns"]),
+        altitude_dm=tuple(None if value == _UNKNOWN_DM else int(value) for value in altitude),
+        source=str(tree["source"]),
     )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.domain.geometry import LocalFrame
-from groundstation.domain.target import Environment, SnapshotEstimate, TargetState
+from groundstation.domain.target import Environment, SearchMap, SnapshotEstimate, TargetState
 from groundstation.engine.estimator_beacon import Beacon
 from groundstation.engine.estimator_output import (
     Heard,
@@ -21,12 +21,14 @@ from groundstation.engine.estimator_output import (
     places_enu,
     regions_geodetic,
     rounded_place,
+    search_map,
 )
 from groundstation.engine.estimator_settings import EstimatorSettings
 from groundstation.engine.estimator_verdicts import SOLVER_FAULTS
 from groundstation.localization import Links, SearchArea, environment_of, locate
+from groundstation.localization.containment import smooth_raster
 from groundstation.localization.problem import FloatArray
-from groundstation.tracking import Belief, TrackObservation, containment, region_rings
+from groundstation.tracking import Tracker, TrackObservation, containment, region_rings
 
 METHOD = "posterior-filter"
 
@@ -37,7 +39,7 @@ def observation(heard: Heard, place: FloatArray) -> TrackObservation:
         heard.vehicle_id, (float(place[0]), float(place[1]), float(place[2])),
         heard.rss_dbm, heard.rss_std_error_db,
         heard.azimuth_rad, heard.elevation_rad, heard.azimuth_std_rad, heard.elevation_std_rad,
-        heard.los_probability, heard.classified,
+        heard.los_probability, heard.classified, 1e-9 * heard.end_ns,
     )  # fmt: skip
 
 
@@ -60,13 +62,14 @@ def links_of(fresh: list[Heard], frame: LocalFrame) -> Links:
 def target_state(
     time_ns: int,
     beacon: Beacon,
-    belief: Belief,
+    belief: Tracker,
     frame: LocalFrame,
     height_reference: str,
     settings: EstimatorSettings,
     tally: Tally[str],
-) -> TargetState:
-    """The next state of a beacon; snapshot and regions are made anew where due."""
+    joined_beacon_ids: tuple[int, ...] = (),
+) -> list[TargetState | SearchMap]:
+    """The next state of a beacon; snapshot, regions and search map are made anew where due."""
     mass = belief.mass
     summary = containment(belief.mesh, mass)
     fresh = beacon.fresh(time_ns, settings.localization)
@@ -80,13 +83,15 @@ def target_state(
     else:
         beacon.snapshot = None
     regions: tuple[Any, ...] = ()
+    picture = None
     due = int(settings.regions_interval_s * 1e9)
     if beacon.regions_ns is None or time_ns - beacon.regions_ns >= due:
         beacon.regions_ns = time_ns
-        regions = regions_geodetic(region_rings(belief.mesh, mass), frame)
+        picture = smooth_raster(belief.mesh, mass)
+        regions = regions_geodetic(region_rings(belief.mesh, mass, picture=picture), frame)
     beacon.sequence += 1
     east, north, up = (float(value) for value in summary.position_enu_m)
-    return TargetState(
+    state = TargetState(
         beacon_id=beacon.beacon_id,
         time_ns=time_ns,
         first_heard_ns=beacon.first_heard_ns,
@@ -103,7 +108,10 @@ def target_state(
         sequence=beacon.sequence,
         snapshot=beacon.snapshot,
         regions=regions,
+        walking_probability=round(belief.walking_probability, 3),
+        joined_beacon_ids=joined_beacon_ids,
     )
+    return [state] if picture is None else [state, search_map(state, picture, frame)]
 
 
 def _renew_snapshot(

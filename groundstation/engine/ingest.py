@@ -16,6 +16,7 @@ from typing import Any
 from groundstation.domain.errors import PeerError
 from groundstation.domain.events import Counter, Event, Severity
 from groundstation.domain.inputs import Direction, FrameInput, Record, SessionInput, TickInput
+from groundstation.domain.radio import Listening
 from groundstation.domain.vehicle import AUTOPILOT_COMPONENT
 from groundstation.engine.vehicle_intake import IngestOutput, VehicleIntake
 from groundstation.mavlink.decode import decode
@@ -76,6 +77,8 @@ class Ingest:
         self._counts = dict.fromkeys(_HOT, 0)
         self._duplicate_ns = round(self.settings.duplicate_s * 1e9)
         self._stranger_ns = round(self.settings.unknown_system_s * 1e9)
+        self._listening_ns = max(round(self.settings.listening_interval_s * 1e9), 1)
+        self._listening_since_ns: int | None = None
 
     def handle(self, record: Record) -> list[IngestOutput]:
         """What follows from one record, in order. Records that are not for ingest give nothing."""
@@ -185,6 +188,20 @@ class Ingest:
     def _tick(self, now_ns: int, out: list[IngestOutput]) -> None:
         for vehicle in self._vehicles.values():
             vehicle.tick(now_ns, out)
+        self._listen(now_ns, out)
+
+    def _listen(self, now_ns: int, out: list[IngestOutput]) -> None:
+        """Who listened where, once an interval; those end at whole multiples of their length."""
+        since_ns = self._listening_since_ns
+        if since_ns is None:
+            self._listening_since_ns = now_ns
+        elif now_ns // self._listening_ns > since_ns // self._listening_ns:
+            self._listening_since_ns = now_ns
+            found = [vehicle.listened(since_ns, now_ns) for vehicle in self._vehicles.values()]
+            listeners = tuple(listener for listener in found if listener is not None)
+            # After a gap (a stop, a cut recording) no pose covers its middle: nobody listened.
+            if listeners:
+                out.append(Listening(since_ns, now_ns, listeners))
 
     def _session(self, event: str, now_ns: int, out: list[IngestOutput]) -> None:
         if event == "resumed":
@@ -194,6 +211,7 @@ class Ingest:
                 recent.frames.clear()
                 recent.connections.clear()
             self._strangers.clear()
+            self._listening_since_ns = None
         elif event == "ended":
             for vehicle in self._vehicles.values():
                 vehicle.end(now_ns, out)
@@ -210,6 +228,7 @@ class Ingest:
                 for system_id, recent in self._recent.items()
             ],
             "beacons": [list(item) for item in self._beacons.items()],
+            "listening_since_ns": self._listening_since_ns,
             "strangers": [[system_id, *kept] for system_id, kept in self._strangers.items()],
         }
 
@@ -227,4 +246,5 @@ class Ingest:
             recent.connections = dict.fromkeys(connections)
             recent.frames = dict(frames)
         self._beacons = dict(tree["beacons"])
+        self._listening_since_ns = tree.get("listening_since_ns")
         self._strangers = {system_id: [since_ns, told] for system_id, since_ns, told in tree["strangers"]}

@@ -10,12 +10,13 @@ from collections.abc import Callable
 from typing import Any
 
 from groundstation.domain.events import Event, Severity
-from groundstation.domain.radio import LinkActivity, LinkWindow
+from groundstation.domain.geometry import Geodetic
+from groundstation.domain.radio import LinkActivity, LinkWindow, Listener, Listening
 from groundstation.domain.vehicle import AUTOPILOT_COMPONENT, SENSOR_COMPONENT, VehicleState
 from groundstation.engine.vehicle_notices import VehicleNotices
 from groundstation.mavlink import messages as m
 from groundstation.mavlink.vehicle_message import VehicleMessage
-from groundstation.measurement.pose_history import PoseHistory
+from groundstation.measurement.pose_history import Pose, PoseHistory
 from groundstation.measurement.sequence import FrameLoss
 from groundstation.measurement.settings import MeasurementSettings
 from groundstation.measurement.status_text import StatusTexts
@@ -24,7 +25,7 @@ from groundstation.measurement.vehicle_clock import ClockStep, OffsetMap, Sender
 from groundstation.measurement.vehicle_picture import VehiclePicture
 from groundstation.measurement.vehicle_samples import VehicleSamples
 
-IngestOutput = LinkWindow | LinkActivity | VehicleState | VehicleMessage | Event
+IngestOutput = LinkWindow | Listening | LinkActivity | VehicleState | VehicleMessage | Event
 """What ingest says: to the estimator, to the page, to the command desk, to the operator."""
 
 _COMPONENTS_MAX = 16
@@ -51,6 +52,8 @@ class VehicleIntake:
         self.notices = VehicleNotices(settings, vehicle_id, found_ns)
         self._dirty = False
         self._state_ns: int | None = None
+        self._packets: dict[int, int] = {}
+        self._alive_ns = round(settings.listening_alive_s * 1e9)
         self._lost_ns = round(settings.vehicle_lost_s * 1e9)
         self._interval_ns = round(settings.state_interval_s * 1e9)
 
@@ -102,6 +105,21 @@ class VehicleIntake:
         if self._dirty and (self._state_ns is None or now_ns - self._state_ns >= self._interval_ns):
             out.append(self._state_now(now_ns))
 
+    def listened(self, start_ns: int, end_ns: int) -> Listener | None:
+        """What was heard, and where, in an interval that ends now; None: not known to have listened.
+
+        Packets count by their arrival: a second on the radio makes no difference to who heard what.
+        """
+        packets, self._packets = self._packets, {}
+        heard_ns, offset_ns = self.picture.sensor_heard_ns, self.clocks[AUTOPILOT_COMPONENT].boot.offset_ns
+        if heard_ns is None or end_ns - heard_ns > self._alive_ns or offset_ns is None:
+            return None
+        pose = self.poses.at((start_ns + end_ns) // 2 - offset_ns, final=True)
+        if not isinstance(pose, Pose):
+            return None
+        place = Geodetic(pose.latitude_deg, pose.longitude_deg, pose.altitude_amsl_m)
+        return Listener(self.vehicle_id, place, tuple(sorted(packets.items())))
+
     def end(self, now_ns: int, out: list[IngestOutput]) -> None:
         """Nothing more will come: close all windows, tell what was not told yet."""
         closed: list[LinkWindow] = []
@@ -122,6 +140,7 @@ class VehicleIntake:
         self.loss = FrameLoss()
         self.notices.forget_stream(now_ns)
         self._silent_since_ns = now_ns
+        self._packets = {}
 
     # --- messages of the autopilot
 
@@ -265,6 +284,10 @@ class VehicleIntake:
         take: Callable[[VehicleSamples, Any, int, int], LinkActivity | None],
     ) -> None:
         self.picture.sensor_heard_ns = now_ns
+        beacon_id = message.beacon_id
+        if beacon_id in self._packets or len(self._packets) < self._settings.links_per_vehicle:
+            # One level a packet; what else tells of it says only that it was heard.
+            self._packets[beacon_id] = self._packets.get(beacon_id, 0) + isinstance(message, m.RssSample)
         clock = self.clocks.get(component_id) or self._clock(component_id)
         if clock is None:
             return
@@ -326,6 +349,7 @@ class VehicleIntake:
             "samples": self.samples.state(),
             "loss": self.loss.state(),
             "texts": self.texts.state(),
+            "packets": [list(item) for item in self._packets.items()],
         }
 
     def restore(self, tree: dict[str, Any]) -> None:
@@ -343,6 +367,8 @@ class VehicleIntake:
         self.samples.restore(tree["samples"])
         self.loss.restore(tree["loss"])
         self.texts.restore(tree["texts"])
+        # Kept before listening was told: none.
+        self._packets = dict(tree.get("packets", []))
 
 
 _Handler = Callable[[VehicleIntake, int, Any, int, list[IngestOutput]], None]

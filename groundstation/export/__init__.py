@@ -13,6 +13,7 @@ from groundstation.domain.target import TargetState
 from groundstation.export.geojson import encode_geojson
 from groundstation.export.gpx import encode_gpx
 from groundstation.export.kml import encode_kml
+from groundstation.export.search_map import search_map_archive, search_map_files
 from groundstation.export.tables import encode_csv, encode_json
 
 ENCODERS: dict[str, Callable[[Sequence[TargetState]], bytes]] = {
@@ -50,4 +51,6 @@ __all__ = [
     "encode_gpx",
     "encode_json",
     "encode_kml",
+    "search_map_archive",
+    "search_map_files",
 ]

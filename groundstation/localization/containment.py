@@ -7,7 +7,7 @@ the mean; both count a box's own extent, so they never shrink under the grid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -95,13 +95,25 @@ def raster(mesh: Mesh, mass: FloatArray, cells: int = _RASTER) -> Raster:
     return Raster(float(low[0]), float(low[1]), cell, values.reshape(cells, cells))
 
 
-def region_rings(
-    mesh: Mesh, mass: FloatArray, shares: tuple[float, ...] = (0.5, 0.9, 0.95)
-) -> tuple[tuple[float, tuple[EnRing, ...]], ...]:
-    """Highest-density regions: for each share its rings (outer and holes, even–odd rule), metres."""
+def smooth_raster(mesh: Mesh, mass: FloatArray) -> Raster:
+    """The raster that regions and search maps are read off."""
     picture = raster(mesh, mass)
     # The boxes' edges are the mesh's, not the belief's: smooth over one square.
-    flat = gaussian_filter(picture.mass, _SMOOTHING_CELLS, mode="constant").ravel()
+    return replace(picture, mass=gaussian_filter(picture.mass, _SMOOTHING_CELLS, mode="constant"))
+
+
+def region_rings(
+    mesh: Mesh,
+    mass: FloatArray,
+    shares: tuple[float, ...] = (0.5, 0.9, 0.95),
+    picture: Raster | None = None,
+) -> tuple[tuple[float, tuple[EnRing, ...]], ...]:
+    """Highest-density regions: for each share its rings (outer and holes, even–odd rule), metres.
+
+    ``picture``: what ``smooth_raster`` gave, where it is there already.
+    """
+    picture = picture or smooth_raster(mesh, mass)
+    flat = picture.mass.ravel()
     order = np.argsort(-flat, kind="stable")
     reached = np.cumsum(flat[order])
     result = []

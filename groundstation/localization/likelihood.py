@@ -7,13 +7,15 @@ of link states) and ``regression`` (many windows along flights: correlated, stat
 
 Model of an observation on link i from place a_i, for a target at x, L_i = log₁₀‖x − a_i‖:
 
-    y_i = P_t − 10 β_i L_i − b_i + o_i + n_i + e_i
+    y_i = P_t − 10 β_i L_i − b_i + o_i + g C_i + n_i + e_i
 
 * A link is in line of sight with probability p_i: β_i = β_LOS, b_i = 0; else β_i = β_NLOS and
   b_i ~ U(0, b_max) (the paper (Gao & Sadjadpour, 2026), eq. (8)). β_LOS is Gaussian, β_NLOS
   uniform, each shared by all links of its kind and summed over a small grid.
 * P_t is shared by all links; it and b enter by their first two moments (U(0, 7) dB beside 5 dB of
   shadowing is Gaussian to a hundredth of the error). The receiver's offset o_i is constant along a link.
+* C_i = 10 log₁₀ cos²(elevation of the way), g ~ N: upright antennas hear little from straight below.
+  One g for all links; taken by ``regression`` only, and by it only where the model's g is not 0.
 * n_i is shadowing, a Gaussian field in space, correlation exp(−Δ/d_corr) (Gudmundson, 1991), of
   which a share is common to all vehicles: what stands in the way stands there for each of them.
 * e_i is white: measurement noise.
@@ -36,6 +38,7 @@ ANYWHERE = 1.0 / (2.0 * math.pi * math.pi)
 """Density of a bearing that points anywhere, per rad²: azimuth all round, elevation ±90°."""
 _MINIMUM_DISTANCE_M = 1.0
 _MIXTURE_LOG_DISTANCE = 1.9
+_DEEPEST_NULL_DB = -10.0 * math.log10(0.02)
 
 
 def stray_share(model: SignalModel) -> float:
@@ -57,6 +60,8 @@ class ExponentGrid:
     """Different values of ``los``; the grid is their product with ``nlos_nodes``, these innermost."""
     nlos_nodes: FloatArray
     """Different values of ``nlos``."""
+    model: SignalModel
+    """Whose prior it is."""
 
     @classmethod
     def of(cls, model: SignalModel, nlos_nodes: int = 9) -> ExponentGrid:
@@ -70,7 +75,9 @@ class ExponentGrid:
         else:
             los, weight = np.array([model.los_exponent]), np.ones(1)
         mass = np.repeat(weight / weight.sum() / nlos_nodes, nlos_nodes)
-        return cls(np.repeat(los, nlos_nodes), np.tile(nlos, los.size), np.log(mass), los, np.asarray(nlos))
+        return cls(
+            np.repeat(los, nlos_nodes), np.tile(nlos, los.size), np.log(mass), los, np.asarray(nlos), model
+        )
 
 
 def expected_excess_db(los_probability: FloatArray, bias_max_db: Any) -> FloatArray:
@@ -101,10 +108,29 @@ def mixture_variance_db2(los_probability: FloatArray, model: SignalModel, bias_m
 
 def path_loss_db(vehicle_enu_m: FloatArray, candidates: FloatArray) -> FloatArray:
     """10 log₁₀ of the distances (n, 3) × (C, 3) → (n, C); distances under 1 m count as 1 m."""
-    square = np.square(candidates[None, :, 0] - vehicle_enu_m[:, 0, None])
-    square += np.square(candidates[None, :, 1] - vehicle_enu_m[:, 1, None])
-    square += np.square(candidates[None, :, 2] - vehicle_enu_m[:, 2, None])
-    return path_loss_of_square(square)
+    return path_loss_of_square(_square_distance(vehicle_enu_m[:, :3], candidates[:, :3]))
+
+
+def _square_distance(vehicle_m: FloatArray, candidates: FloatArray) -> FloatArray:
+    """(n, d) × (C, d) → (n, C), m²: one product of matrices, about a middle that keeps the numbers small."""
+    middle = vehicle_m.mean(axis=0) if vehicle_m.size else 0.0
+    here, there = vehicle_m - middle, candidates - middle
+    result: FloatArray = here @ (-2.0 * there.T)
+    result += np.einsum("cd,cd->c", there, there)
+    result += np.einsum("nd,nd->n", here, here)[:, None]
+    return result
+
+
+def null_loss_db(vehicle_enu_m: FloatArray, candidates: FloatArray, path_db: FloatArray) -> FloatArray:
+    """−10 log₁₀ cos²(elevation) of the ways (n, 3) × (C, 3) → (n, C): loss in a null of order 1 overhead.
+
+    ``path_db``: what ``path_loss_db`` gave for them. At most 17 dB: no null is empty, with reflections about.
+    """
+    flat = path_loss_of_square(_square_distance(vehicle_enu_m[:, :2], candidates[:, :2]))
+    flat -= path_db
+    flat *= -2.0
+    np.minimum(flat, _DEEPEST_NULL_DB, out=flat)
+    return flat
 
 
 def path_loss_of_square(square_m2: FloatArray) -> FloatArray:
@@ -116,12 +142,33 @@ def path_loss_of_square(square_m2: FloatArray) -> FloatArray:
     return square_m2
 
 
+def bearing_residual(
+    offset_m: FloatArray, spread_m2: Any, bearing_rad: tuple[Any, Any]
+) -> tuple[FloatArray, FloatArray]:
+    """How far a bearing (azimuth, elevation) turns from the way to ``offset_m`` (3, …): (2, …) radians.
+
+    And what ``spread_m2`` (2, …), the variance of the target's place in its box, horizontal (each
+    axis) and vertical, adds to the variances of the two: (2, …) rad².
+    """
+    east, north, up = offset_m
+    azimuth, elevation = bearing_rad
+    across_m2, upright_m2 = spread_m2
+    horizontal2 = np.maximum(east * east + north * north, 0.01)
+    distance2 = horizontal2 + up * up
+    cos, sin = np.cos(azimuth), np.sin(azimuth)
+    turn = np.arctan2(north * cos - east * sin, east * cos + north * sin)
+    lift = np.arctan2(up, np.sqrt(horizontal2)) - elevation
+    rise = (across_m2 * up * up + upright_m2 * horizontal2) / (distance2 * distance2)
+    # The way turns against the bearing as the bearing turns against the way.
+    return np.stack([-turn, -lift]), np.stack([across_m2 / horizontal2, rise])
+
+
 def bearing_density(
     offset_m: FloatArray,
-    across_m2: FloatArray,
-    upright_m2: FloatArray,
+    across_m2: Any,
+    upright_m2: Any,
     bearing_rad: tuple[Any, Any],
-    std_rad: tuple[float, float],
+    std_rad: tuple[Any, Any],
 ) -> FloatArray:
     """Density of a bearing (azimuth, elevation) per rad², seen over ``offset_m`` (3, …) from the vehicle.
 
@@ -129,28 +176,21 @@ def bearing_density(
     axis) and vertical, added to the bearing's where the box is wider than the ray, so that a coarse
     box is not thrown away because its centre lies beside it.
     """
-    east, north, up = offset_m
-    azimuth, elevation = bearing_rad
-    horizontal2 = np.maximum(east * east + north * north, 0.01)
-    distance2 = horizontal2 + up * up
-    cos, sin = np.cos(azimuth), np.sin(azimuth)
-    turn = np.arctan2(north * cos - east * sin, east * cos + north * sin)
-    lift = np.arctan2(up, np.sqrt(horizontal2)) - elevation
-    rise = (across_m2 * up * up + upright_m2 * horizontal2) / (distance2 * distance2)
-    variance_az = _widened(std_rad[0] ** 2, across_m2 / horizontal2)
-    variance_el = _widened(std_rad[1] ** 2, rise)
+    (turn, lift), (of_turn, of_lift) = bearing_residual(offset_m, (across_m2, upright_m2), bearing_rad)
+    variance_az = widened_variance(std_rad[0] ** 2, of_turn)
+    variance_el = widened_variance(std_rad[1] ** 2, of_lift)
     density: FloatArray = np.exp(-0.5 * (turn * turn / variance_az + lift * lift / variance_el))
     density /= 2.0 * math.pi * np.sqrt(variance_az * variance_el)
     return density
 
 
-def _widened(variance: float, of_box: FloatArray) -> FloatArray:
+def widened_variance(variance: Any, of_box: FloatArray) -> FloatArray:
     """The variance of a bearing seen from a box.
 
     From boxes up to 1.4 σ wide the centres alone add up to the integral (the midpoint rule on a
     Gaussian: error under 10⁻⁴); adding their extent would count it twice.
     """
-    wide = of_box * (3.0 / variance)
+    wide: FloatArray = of_box * (3.0 / variance)
     wide -= 0.5
     np.maximum(wide, 0.0, out=wide)
     np.minimum(wide, 1.0, out=wide)

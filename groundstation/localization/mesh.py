@@ -2,7 +2,8 @@
 
 Exists because an area of hundreds of metres and a belief of two metres need one set of
 candidates of bounded size. Rule: deterministic – boxes split by the mass they hold, in
-order, never at random – and each box knows its volume, so that density and mass agree.
+order, never at random – and each box knows its volume, so that density and mass agree; over
+terrain a box stands on the ground under its own centre.
 Many problems in one area are refined side by side, each as if it were alone.
 """
 
@@ -120,10 +121,11 @@ def base_mesh(area: SearchArea, settings: MeshSettings) -> Mesh:
     """Equal boxes over the area, each with the part of its volume inside it."""
     half = area.radius_m / settings.base_cells
     steps = (np.arange(settings.base_cells) + 0.5) * 2.0 * half - area.radius_m
-    height = max(area.height_max_m - area.height_min_m, 2.0 * settings.minimum_half_m)
+    lowest, highest = (area.height_min_m, area.height_max_m) if area.ground is None else area.above_ground_m
+    height = max(highest - lowest, 2.0 * settings.minimum_half_m)
     levels = int(np.clip(round(height / (2.0 * half)), 2, 8)) if height > 2.0 else 1
     half_z = 0.5 * height / levels
-    middle = 0.5 * (area.height_min_m + area.height_max_m)
+    middle = 0.5 * (lowest + highest)
     heights = middle + half_z * (2.0 * np.arange(levels) + 1.0 - levels)
     east, north = np.meshgrid(area.center_enu_m[0] + steps, area.center_enu_m[1] + steps, indexing="ij")
     columns = np.stack([east.ravel(), north.ravel()], axis=1)
@@ -132,6 +134,8 @@ def base_mesh(area: SearchArea, settings: MeshSettings) -> Mesh:
     center = np.empty((used.size, levels, 3))
     center[:, :, :2] = columns[used, None]
     center[:, :, 2] = heights
+    if area.ground is not None:
+        center[:, :, 2] += area.ground.at(columns[used, 0], columns[used, 1])[:, None]
     volume = np.repeat(share[used] * (2.0 * half) ** 2 * (2.0 * half_z), levels)
     return Mesh(center.reshape(-1, 3), np.tile([half, half_z], (volume.size, 1)), np.log(volume))
 
@@ -168,6 +172,10 @@ def _split_alike(mesh: Mesh, area: SearchArea, pieces: int, levels: int) -> tupl
     step = _steps(pieces, levels)
     parent = np.tile(np.arange(mesh.count), step.shape[0])
     center = (mesh.center_enu_m + step * mesh.half_m[:, _EN_UP]).reshape(-1, 3)
+    if area.ground is not None:
+        # Height above the ground is what a part inherits, not height: the ground goes on under it.
+        under = area.ground.at(mesh.center_enu_m[:, 0], mesh.center_enu_m[:, 1])
+        center[:, 2] += area.ground.at(center[:, 0], center[:, 1]) - under[parent]
     half = mesh.half_m / (pieces, levels)
     volume = np.log(8.0 * half[:, 0] * half[:, 0] * half[:, 1])
     cut = mesh.log_volume < volume + (math.log(pieces * pieces * levels) - 1e-9)
@@ -315,7 +323,8 @@ def smooth_moments(mesh: Mesh, mass: FloatArray, area: SearchArea) -> tuple[Floa
     coarse = mass * np.minimum(np.maximum(5.0 * mass - 0.5, 0.0), 1.0)
     own = coarse @ (half * half) / 3.0
     below = mesh.center_enu_m[:, 2] - half[:, 1]
-    at_limit = (below < area.height_min_m + 1e-6) | (below + 2.0 * half[:, 1] > area.height_max_m - 1e-6)
+    lowest, highest = area.height_limits_m(mesh.center_enu_m[:, 0], mesh.center_enu_m[:, 1])
+    at_limit = (below < lowest + 1e-6) | (below + 2.0 * half[:, 1] > highest - 1e-6)
     cut = (mass * half[:, 1] * (np.abs(offset[:, 2]) + half[:, 1]))[at_limit].sum() / 6.0
     covariance[0, 0] += own[0]
     covariance[1, 1] += own[0]

@@ -78,7 +78,7 @@ class PosteriorAnswer:
         below = np.concatenate([[0.0], np.cumsum(share[order])])
         rank = np.searchsorted(density[order], self.log_likelihood_at(points))
         inside = self.area.contains(points[:, 0], points[:, 1])
-        height = np.clip(points[:, 2], self.area.height_min_m, self.area.height_max_m)
+        height = np.clip(points[:, 2], *self.area.height_limits_m(points[:, 0], points[:, 1]))
         inside &= np.abs(points[:, 2] - height) < 1e-6
         return np.where(inside, np.clip(1.0 - below[rank] / below[-1], 0.0, 1.0), 1.0)
 

@@ -12,7 +12,7 @@ vehicle to the beacon; NaN where a link has no usable angle.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+_GROUND_SAMPLES = 129
+"""Across the area: where the ground's lowest and highest place are looked for."""
 
 
 def _floats(values: Any) -> FloatArray:
@@ -111,6 +114,54 @@ class Links:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GroundHeights:
+    """Heights of the ground at the nodes of a regular grid, linear between them; its edge goes on outside."""
+
+    west_m: float
+    """East coordinate of the first column, metres."""
+    south_m: float
+    """North coordinate of the first row, metres."""
+    step_m: float
+    """Distance of neighbouring nodes, metres."""
+    up_m: FloatArray
+    """(rows from the south, columns from the west) height of the ground in the ENU frame, metres."""
+    known: BoolArray
+    """Of the same shape: whether somebody measured it; False: it is taken for the ground's height."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "up_m", _floats(self.up_m))
+        object.__setattr__(self, "known", np.asarray(self.known, dtype=bool))
+        if self.up_m.ndim != 2 or min(self.up_m.shape) < 2 or self.known.shape != self.up_m.shape:
+            raise InputError(
+                f"ground heights have shape {self.up_m.shape}, known ones {self.known.shape};"
+                " the same two by two or more are needed"
+            )
+        if not (np.isfinite(self.up_m).all() and math.isfinite(self.step_m) and self.step_m > 0.0):
+            raise InputError("ground heights must be finite, their nodes a positive distance apart")
+
+    def at(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """Height of the ground under places, metres ENU."""
+        rows, columns = self.up_m.shape
+        x = np.clip((np.asarray(east_m) - self.west_m) / self.step_m, 0.0, columns - 1.0)
+        y = np.clip((np.asarray(north_m) - self.south_m) / self.step_m, 0.0, rows - 1.0)
+        column = np.minimum(x.astype(np.int64), columns - 2)
+        row = np.minimum(y.astype(np.int64), rows - 2)
+        x, y = x - column, y - row
+        up = self.up_m
+        result: FloatArray = (1.0 - y) * ((1.0 - x) * up[row, column] + x * up[row, column + 1]) + y * (
+            (1.0 - x) * up[row + 1, column] + x * up[row + 1, column + 1]
+        )
+        return result
+
+    def is_known(self, east_m: float, north_m: float) -> bool:
+        """Whether the ground under a place was measured, by the node nearest to it."""
+        rows, columns = self.up_m.shape
+        column = round((east_m - self.west_m) / self.step_m)
+        row = round((north_m - self.south_m) / self.step_m)
+        return 0 <= column < columns and 0 <= row < rows and bool(self.known[row, column])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SearchArea:
     """Where the target may be: a disc or a polygon, between two heights."""
 
@@ -119,11 +170,15 @@ class SearchArea:
     radius_m: float
     """The disc's radius; of a polygon the radius of the disc round the centroid that holds it."""
     height_min_m: float
-    """Lowest height of the target in the ENU frame, metres."""
+    """Lowest height of the target in the ENU frame, metres; over terrain that of the lowest ground."""
     height_max_m: float
-    """Highest height of the target in the ENU frame, metres."""
+    """Highest height of the target in the ENU frame, metres; over terrain that of the highest ground."""
     polygon_en_m: BaseGeometry | None = field(default=None)
     """Polygon or multipolygon in east and north metres; None: the disc."""
+    ground: GroundHeights | None = field(default=None)
+    """Heights of the ground; None: it is level, and the limits above are all there is (see ``over``)."""
+    above_ground_m: tuple[float, float] = (0.0, 0.0)
+    """Lowest and highest height of the target above ``ground``, metres; nothing without one."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "center_enu_m", _floats(self.center_enu_m).reshape(-1))
@@ -150,6 +205,32 @@ class SearchArea:
         radius = float(np.hypot(*(corners - center).T).max())
         return cls(center, radius, height_min_m, height_max_m, repaired)
 
+    def over(self, ground: GroundHeights, lowest_m: float, highest_m: float) -> SearchArea:
+        """The same outline with height limits above ``ground``, metres.
+
+        ``height_min_m`` and ``height_max_m`` become those that hold every place: what works with
+        two planes alone (convex programs) stays right, only wider.
+        """
+        steps = self.center_enu_m[:2, None] + self.radius_m * np.linspace(-1.0, 1.0, _GROUND_SAMPLES)
+        east, north = np.meshgrid(steps[0], steps[1])
+        up = ground.at(east, north)
+        inside = self.contains(east.ravel(), north.ravel()).reshape(up.shape)
+        up = up[inside] if inside.any() else up
+        return replace(
+            self,
+            height_min_m=float(up.min()) + lowest_m,
+            height_max_m=float(up.max()) + highest_m,
+            ground=ground,
+            above_ground_m=(lowest_m, highest_m),
+        )
+
+    def height_limits_m(self, east_m: FloatArray, north_m: FloatArray) -> tuple[Any, Any]:
+        """Lowest and highest height of the target at places, metres ENU; two numbers over level ground."""
+        if self.ground is None:
+            return self.height_min_m, self.height_max_m
+        up = self.ground.at(east_m, north_m)
+        return up + self.above_ground_m[0], up + self.above_ground_m[1]
+
     def contains(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
         """Which horizontal points lie inside."""
         if self.polygon_en_m is not None:
@@ -169,7 +250,7 @@ class SearchArea:
         outside = ~self.contains(flat[:, 0], flat[:, 1])
         for row in np.flatnonzero(outside):
             flat[row, :2] = self._nearest(flat[row, :2])
-        flat[:, 2] = np.clip(flat[:, 2], self.height_min_m, self.height_max_m)
+        flat[:, 2] = np.clip(flat[:, 2], *self.height_limits_m(flat[:, 0], flat[:, 1]))
         return flat.reshape(points.shape)
 
     def _nearest(self, point: FloatArray) -> FloatArray:
@@ -193,6 +274,8 @@ class SignalModel:
     """σ_θ, radians."""
     elevation_std_rad: float = math.radians(1.0)
     """σ_φ, radians."""
+    angle_bias_std_rad: float = 0.0
+    """Spread of a constant error of each vehicle's angles (mounting, compass), radians (tracker only)."""
     angle_outlier_probability: float = 0.01
     """Share of LOS angles that point anywhere (used by ``posterior`` only)."""
     rss_outlier_probability: float = 0.01
@@ -212,6 +295,11 @@ class SignalModel:
     """Highest transmit power of the prior, dBm."""
     known_transmit_power_dbm: float | None = None
     """Transmit power where it is known, dBm; None: unknown."""
+    antenna_null_mean: float = 0.0
+    """Expected order g of the antennas' null overhead, power ∝ cos²ᵍ(elevation) (tracker only): two
+    upright dipoles 2, one 1, isotropic antennas 0."""
+    antenna_null_std: float = 0.0
+    """Uncertainty of that order, shared by all links; 0: the mean is taken as given."""
     receiver_offset_db: float = 0.0
     """What the receivers report above the true power, dB: subtracted from every sample."""
     receiver_offset_std_db: float = 0.0
@@ -266,6 +354,11 @@ class SignalModel:
             raise InputError("signal model: nlos_exponent_max lies under nlos_exponent_min")
         if self.transmit_power_max_dbm < self.transmit_power_min_dbm:
             raise InputError("signal model: transmit_power_max_dbm lies under transmit_power_min_dbm")
+
+    @property
+    def has_antenna_null(self) -> bool:
+        """Whether antennas may have a null overhead."""
+        return self.antenna_null_mean != 0.0 or self.antenna_null_std > 0.0
 
     @property
     def transmit_power_mean_dbm(self) -> float:

@@ -79,3 +79,8 @@ class MeasurementSettings:
     """The same frame on a second connection within this time is dropped, seconds."""
     unknown_system_s: float = 5.0
     """Radio samples of a system whose autopilot stays silent this long are told to the operator, seconds."""
+
+    listening_interval_s: float = 2.0
+    """Length of the intervals by which it is told who listened where, seconds."""
+    listening_alive_s: float = 3.0
+    """A vehicle listens while its sensor said anything within this time, seconds."""

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from groundstation.domain.events import Event
-from groundstation.server.rest import HealthCheck, SearchMap
+from groundstation.domain.target import SearchMap
+from groundstation.server.rest import HealthCheck, HistoryPoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +45,20 @@ class Actions(Protocol):
         """Hold every vehicle now."""
         ...
 
+    async def join(self, beacon_id: int, into_beacon_id: int, who: str) -> ActionResult:
+        """Take two ids for one transmitter: what the first one said counts for the second."""
+        ...
+
+    async def separate(self, beacon_id: int, who: str) -> ActionResult:
+        """Take a join back: the beacon stands for itself again."""
+        ...
+
 
 EventSource = Callable[[int, int], Awaitable[Sequence[Event]]]
 """(before_ns, limit) → the newest ``limit`` events before that time, oldest first."""
+
+HistorySource = Callable[[int, int, int], Awaitable[Sequence[HistoryPoint]]]
+"""(beacon_id, since_ns, limit) → at most ``limit`` beliefs after that time, evenly, oldest first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +67,10 @@ class Sources:
 
     older_events: EventSource | None = None
     """The database."""
-    search_map: Callable[[int], SearchMap | None] | None = None
-    """The tracker's raster of one beacon."""
+    history: HistorySource | None = None
+    """The database; without it the picture's own few points are given."""
+    search_map_file: Callable[[SearchMap], bytes] | None = None
+    """The raster as a ZIP archive that a GIS opens."""
     health: Callable[[], Sequence[HealthCheck]] | None = None
     """Checks of the other rooms."""
     version: str = field(default="0")

@@ -39,6 +39,7 @@ def merge(first: wire.Delta, second: wire.Delta) -> wire.Delta:
             links=newest(a.links, b.links, "link", lambda row: f"{row.vehicle_id}:{row.beacon_id}"),
             targets=newest(a.targets, b.targets, "target", lambda row: row.beacon_id),
             regions=newest(a.regions, b.regions, "regions", lambda row: row.beacon_id),
+            explanations=newest(a.explanations, b.explanations, "explanation", lambda row: row.beacon_id),
             proposals=newest(a.proposals, b.proposals, "proposal", lambda row: row.proposal_id),
             commands=newest(a.commands, b.commands, "command", lambda row: row.command_id),
             connections=newest(a.connections, b.connections, "connection", lambda row: row.connection),

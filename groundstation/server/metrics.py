@@ -58,7 +58,16 @@ class HubCollector(Collector):
             yield family(name, SERVER_METRICS[name], value=value)
         evicted_name = "groundstation_server_rows_evicted_total"
         evicted = CounterMetricFamily(evicted_name, SERVER_METRICS[evicted_name], labels=["table"])
-        for table in ("vehicles", "links", "targets", "regions", "proposals", "commands", "connections"):
+        for table in (
+            "vehicles",
+            "links",
+            "targets",
+            "regions",
+            "explanations",
+            "proposals",
+            "commands",
+            "connections",
+        ):
             evicted.add_metric([table], getattr(picture, table).evicted_total)
         yield evicted
         yield from self._room_counters()

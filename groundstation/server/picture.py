@@ -18,9 +18,17 @@ from groundstation.domain.geometry import Geodetic
 from groundstation.domain.inputs import ConnectionInput, MissionInput
 from groundstation.domain.mission import Mission
 from groundstation.domain.radio import LinkActivity
-from groundstation.domain.target import LinkVerdict, TargetState, TargetWaiting
+from groundstation.domain.target import (
+    LinkVerdict,
+    SearchMap,
+    TargetExplanation,
+    TargetJoined,
+    TargetState,
+    TargetWaiting,
+)
 from groundstation.domain.vehicle import VehicleState
 from groundstation.server import rows, wire
+from groundstation.server.history import Histories
 from groundstation.server.merge import merge
 from groundstation.server.rows import ForwardStatus, StationStatus
 from groundstation.server.settings import ServerSettings
@@ -32,6 +40,9 @@ PictureInput = (
     | LinkVerdict
     | TargetState
     | TargetWaiting
+    | TargetJoined
+    | TargetExplanation
+    | SearchMap
     | Proposal
     | ProposalGone
     | CommandStatus
@@ -72,17 +83,19 @@ class Picture:
             lambda key, link: rows.link_row(key[0], key[1], link.activity, link.verdict),
             lambda key: f"{key[0]}:{key[1]}",
         )
-        self.targets: Table[int, TargetState | TargetWaiting, wire.TargetRow] = Table(
-            "target",
-            limits.max_targets,
-            lambda _key, state: (
-                rows.target_row(state) if isinstance(state, TargetState) else rows.waiting_row(state)
-            ),
+        self.targets: Table[int, TargetState | TargetWaiting | TargetJoined, wire.TargetRow] = Table(
+            "target", limits.max_targets, lambda _key, state: _target_row(state)
         )
         # Of each beacon the newest state that had regions: most updates come without.
         self.regions: Table[int, TargetState, wire.RegionsRow] = Table(
             "regions", limits.max_targets, lambda _key, state: rows.regions_row(state)
         )
+        self.explanations: Table[int, TargetExplanation, wire.ExplanationRow] = Table(
+            "explanation", limits.max_targets, lambda _key, told: rows.explanation_row(told)
+        )
+        # Asked for by those who look at them: never part of the stream.
+        self.search_maps: dict[int, SearchMap] = {}
+        self.histories = Histories(limits.max_targets, limits.history_points)
         self.proposals: Table[str, Proposal, wire.ProposalRow] = Table(
             "proposal", limits.max_proposals, lambda _key, proposal: rows.proposal_row(proposal)
         )
@@ -123,8 +136,14 @@ class Picture:
                 self.vehicles.put(output.vehicle_id, output)
                 if output.position is not None and output.position.is_valid():
                     self._extend_trail(output.vehicle_id, output.position)
-            case TargetState() | TargetWaiting():
+            case TargetState() | TargetWaiting() | TargetJoined():
                 self._apply_target(output)
+            case TargetExplanation() if isinstance(self.targets.get(output.beacon_id), TargetState):
+                self.explanations.put(output.beacon_id, output)
+            case SearchMap() if isinstance(self.targets.get(output.beacon_id), TargetState):
+                self.search_maps[output.beacon_id] = output
+            case TargetExplanation() | SearchMap():
+                pass  # of a beacon that gave way to others
             case Proposal():
                 self.proposals.put(output.proposal_id, output)
             case ProposalGone():
@@ -157,16 +176,24 @@ class Picture:
         else:
             self.links.put(key, _Link(link.activity, output))
 
-    def _apply_target(self, output: TargetState | TargetWaiting) -> None:
+    def _apply_target(self, output: TargetState | TargetWaiting | TargetJoined) -> None:
         evicted = self.targets.put(output.beacon_id, output)
         if evicted is not None:
-            self.regions.remove(evicted, "evicted: too many rows")
-        if isinstance(output, TargetWaiting):
-            self.regions.remove(output.beacon_id, "no estimate")
-        elif output.regions:
+            self._forget_estimate(evicted, "evicted: too many rows")
+        if not isinstance(output, TargetState):
+            self._forget_estimate(output.beacon_id, "no estimate")
+            return
+        self.histories.add(output)
+        if output.regions:
             known = self.regions.get(output.beacon_id)
             if known is None or known.regions != output.regions:
                 self.regions.put(output.beacon_id, output)
+
+    def _forget_estimate(self, beacon_id: int, reason: str) -> None:
+        """What belongs to an estimate goes with it; how it came about stays."""
+        self.regions.remove(beacon_id, reason)
+        self.explanations.remove(beacon_id, reason)
+        self.search_maps.pop(beacon_id, None)
 
     def _apply_event(self, event: Event) -> None:
         self.events_total += 1
@@ -214,10 +241,10 @@ class Picture:
 
     def _tables(self) -> tuple[Table[int, VehicleState, wire.VehicleRow], ...]:
         tables = (
-            self.vehicles, self.links, self.targets, self.regions,
+            self.vehicles, self.links, self.targets, self.regions, self.explanations,
             self.proposals, self.commands, self.connections,
         )  # fmt: skip
-        return tables  # type: ignore[return-value]  # one shape, seven row types
+        return tables  # type: ignore[return-value]  # one shape, eight row types
 
     def take_delta(self, server_time_ns: int) -> wire.Delta | None:
         """What changed since the last call, numbered and kept in the ring; None if nothing did."""
@@ -237,6 +264,7 @@ class Picture:
                 links=self.links.take_changed(),
                 targets=self.targets.take_changed(),
                 regions=self.regions.take_changed(),
+                explanations=self.explanations.take_changed(),
                 proposals=self.proposals.take_changed(),
                 commands=self.commands.take_changed(),
                 connections=self.connections.take_changed(),
@@ -277,6 +305,7 @@ class Picture:
                 links=self.link_rows(),
                 targets=self.target_rows(),
                 regions=self.regions.rows(),
+                explanations=self.explanations.rows(),
                 proposals=self.proposals.rows(),
                 commands=self.commands.rows(),
                 connections=self.connections.rows(),
@@ -335,3 +364,9 @@ class Picture:
     def mission_row(self) -> wire.MissionRow | None:
         """The mission, if one was set."""
         return rows.mission_row(self._mission) if self._mission else None
+
+
+def _target_row(state: TargetState | TargetWaiting | TargetJoined) -> wire.TargetRow:
+    if isinstance(state, TargetState):
+        return rows.target_row(state)
+    return rows.joined_row(state) if isinstance(state, TargetJoined) else rows.waiting_row(state)

@@ -112,10 +112,51 @@ class SearchMap(Page):
     north_west_longitude_deg: float = Field(description="Outer corner of the first cell, degrees east.")
     south_east_latitude_deg: float = Field(description="Outer corner of the last cell, degrees north.")
     south_east_longitude_deg: float = Field(description="Outer corner of the last cell, degrees east.")
+    corners_deg: list[list[float]] = Field(
+        description="Outer corners as [longitude, latitude], degrees: north-west, north-east, south-east, "
+        "south-west. North of the plane is true north at its origin only."
+    )
+    origin_latitude_deg: float = Field(
+        description="Origin of the plane that the cells lie in, degrees north."
+    )
+    origin_longitude_deg: float = Field(description="Origin of that plane, degrees east.")
+    west_m: float = Field(description="East coordinate of the western edge, metres from the origin.")
+    north_m: float = Field(description="North coordinate of the northern edge, metres from the origin.")
     cell_size_m: float = Field(description="Side of a cell, metres.")
     rows: int = Field(description="Rows, from north to south.")
     columns: int = Field(description="Columns, from west to east.")
     probability: list[float] = Field(description="rows × columns values, row by row, summing to 1.")
+    containment: list[float] = Field(
+        description="For each cell the share of the belief in the cells that are at least as likely, 0 to 1: "
+        "those up to 0.9 are where 90 % lie."
+    )
+
+
+class HistoryPoint(Model):
+    """One belief of a beacon's past."""
+
+    time_ns: DecimalString = Field(description="Station time of the belief, ns.")
+    latitude_deg: float = Field(description="Latitude, degrees north.")
+    longitude_deg: float = Field(description="Longitude, degrees east.")
+    altitude_amsl_m: float = Field(description="Altitude above mean sea level, metres.")
+    radius_90_m: float | None = Field(description="Radius of the circle that holds 90 % of the belief, m.")
+    windows: int = Field(description="Link windows taken in until then.")
+    links: int = Field(description="Vehicles that heard it then.")
+
+
+class TargetHistory(Page):
+    """How the estimate of one beacon came about."""
+
+    beacon_id: DecimalString = Field(description="Device id of the transmitter.")
+    points: list[HistoryPoint] = Field(
+        description="Oldest first, evenly over the time asked for, the newest belief last."
+    )
+
+
+class JoinBody(Model):
+    """Two ids that are one transmitter."""
+
+    into_beacon_id: DecimalString = Field(description="The beacon whose belief the windows shall count for.")
 
 
 def _whole(value: object) -> object:

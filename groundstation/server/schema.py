@@ -19,6 +19,8 @@ class Wire(wire.Model):
     confirm_body: rest.ConfirmBody = Field(description="Body of a confirmation.")
     action_answer: rest.ActionAnswer = Field(description="Answer to an action.")
     problem: rest.Problem = Field(description="Answer to what was refused.")
+    join_body: rest.JoinBody = Field(description="Body of a join.")
+    target_history: rest.TargetHistory = Field(description="How an estimate came about.")
     search_map: rest.SearchMap = Field(description="Raster of one beacon.")
     health: rest.Health = Field(description="Whether the station works.")
     events: rest.Events = Field(description="Older events.")

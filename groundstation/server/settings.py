@@ -45,6 +45,8 @@ class ServerSettings:
     """Rows kept; further names are refused and counted."""
     max_connections: int = 256
     """Rows kept; the connection not updated for longest gives way."""
+    history_points: int = 240
+    """Beliefs kept of each beacon for the curve of its radius, evenly over the time; the database has all."""
     trail_points: int = 300
     """Points kept of each vehicle's path."""
     trail_spacing_m: float = 3.0

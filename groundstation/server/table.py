@@ -15,7 +15,9 @@ Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 Row = TypeVar("Row", bound=wire.Model)
 
-RemovedKind = Literal["vehicle", "link", "target", "regions", "proposal", "command", "connection"]
+RemovedKind = Literal[
+    "vehicle", "link", "target", "regions", "explanation", "proposal", "command", "connection"
+]
 
 
 class Table(Generic[Key, Value, Row]):

@@ -104,7 +104,16 @@ class TargetRow(Model):
     """What is believed of one beacon; ``state`` says whether there is a position."""
 
     beacon_id: DecimalString = Field(description="Device id of the transmitter.")
-    state: Literal["located", "waiting"] = Field(description="Whether there is an estimate.")
+    state: Literal["located", "waiting", "joined"] = Field(
+        description="Whether there is an estimate; joined: the operator says that it is another beacon's id."
+    )
+    joined_into: DecimalString | None = Field(description="The beacon whose belief counts for this id.")
+    joined_beacon_ids: list[DecimalString] = Field(
+        description="Other ids of the same transmitter: what they say counts here."
+    )
+    walking_probability: float | None = Field(
+        description="Probability that the person walks, 0 to 1; null where it was not asked."
+    )
     time_ns: DecimalString = Field(description="Station time of this belief, ns.")
     first_heard_ns: DecimalString = Field(description="Station time it was first heard, ns.")
     last_heard_ns: DecimalString = Field(description="Station time it was last heard, ns.")
@@ -145,6 +154,46 @@ class RegionsRow(Model):
     beacon_id: DecimalString = Field(description="Device id of the transmitter.")
     time_ns: DecimalString = Field(description="Station time of the belief that was drawn, ns.")
     regions: list[RegionRow] = Field(description="Nested, the smallest share first: 0.5, 0.9 and 0.95.")
+
+
+class ContributionRow(Model):
+    """What one vehicle brought to a belief, and how well it agrees with it."""
+
+    vehicle_id: VehicleId = Field(description="MAVLink system id.")
+    weight: float = Field(
+        description="Share of the information about the place that it brought, 0 to 1; all add up to 1."
+    )
+    area_factor: float = Field(
+        description="Without it the space where the beacon may be were so many times as large; below 1: "
+        "it contradicts the others."
+    )
+    windows: int = Field(description="Link windows taken in.")
+    redundant: int = Field(description="Windows from a place heard from often enough: not taken in.")
+    outliers: int = Field(description="Windows weighed down: implausible at every likely place.")
+    power_residual_db: float | None = Field(
+        description="How much stronger it hears the beacon than the estimate explains, decibels."
+    )
+    power_score: float | None = Field(description="The same in standard deviations.")
+    azimuth_residual_deg: float | None = Field(
+        description="How far its bearing points to the right of the estimate, degrees."
+    )
+    azimuth_score: float | None = Field(description="The same in standard deviations.")
+    elevation_residual_deg: float | None = Field(
+        description="How far its bearing points above the estimate, degrees."
+    )
+    elevation_score: float | None = Field(description="The same in standard deviations.")
+    los_probability: float | None = Field(
+        description="Mean probability of line of sight of its judged windows, 0 to 1; null: none was judged."
+    )
+
+
+class ExplanationRow(Model):
+    """Why the belief of one beacon is what it is; sent when it changes, at most every five seconds."""
+
+    beacon_id: DecimalString = Field(description="Device id of the transmitter.")
+    time_ns: DecimalString = Field(description="Station time of the belief that is explained, ns.")
+    sequence: int = Field(description="Number of the beacon's update that is explained.")
+    contributions: list[ContributionRow] = Field(description="By vehicle.")
 
 
 class ProposalRow(Model):
@@ -268,9 +317,9 @@ class StationRow(Model):
 class Removed(Model):
     """A row that went away."""
 
-    kind: Literal["vehicle", "link", "target", "regions", "proposal", "command", "connection"] = Field(
-        description="Which table."
-    )
+    kind: Literal[
+        "vehicle", "link", "target", "regions", "explanation", "proposal", "command", "connection"
+    ] = Field(description="Which table.")
     key: str = Field(description="The row's id; vehicle:beacon for a link.")
     reason: str = Field(description="confirmed, expired, replaced, evicted, …")
 
@@ -282,6 +331,7 @@ class Rows(Model):
     links: list[LinkRow] = Field(description="Radio links.")
     targets: list[TargetRow] = Field(description="Beacons.")
     regions: list[RegionsRow] = Field(description="Where beacons could be, one row a beacon.")
+    explanations: list[ExplanationRow] = Field(description="Why the beliefs are what they are.")
     proposals: list[ProposalRow] = Field(description="Open proposals.")
     commands: list[CommandRow] = Field(description="Commands, newest step of each.")
     connections: list[ConnectionRow] = Field(description="Connections.")

@@ -34,6 +34,7 @@ from groundstation.domain.inputs import (
     Direction,
     DropInput,
     FrameInput,
+    JoinInput,
     MissionInput,
     OperatorInput,
     PlanInput,
@@ -59,6 +60,7 @@ KIND_OF: dict[type[AnyInput], int] = {
     DropInput: 6,
     PlanInput: 7,
     SessionInput: 8,
+    JoinInput: 9,
 }
 """Numbers on disk: never reused, never changed."""
 CLASS_OF: dict[int, type[AnyInput]] = {number: kind for kind, number in KIND_OF.items()}

@@ -104,6 +104,23 @@ class Queries:
         )
         return [_point(row) for row in self._ask(sql, (str(beacon_id), since_ns, until_ns, _bounded(limit)))]
 
+    def target_curve(self, beacon_id: int, since_ns: int = 0, limit: int = 200) -> list[TargetPoint]:
+        """At most ``limit`` beliefs after ``since_ns``, evenly in time, oldest first, the newest last."""
+        spans = self._ask(
+            "SELECT min(time_ns), max(time_ns) FROM targets WHERE beacon_id = ? AND time_ns > ?",
+            (str(beacon_id), since_ns),
+        )
+        first, last = spans[0]
+        if first is None:
+            return []
+        # Counted from the newest: of each span of time its last belief.
+        span_ns = (last - first) // max(_bounded(limit), 1) + 1
+        sql = (
+            "SELECT *, max(time_ns) FROM targets WHERE beacon_id = ? AND time_ns > ? "
+            "GROUP BY (? - time_ns) / ? ORDER BY time_ns, sequence"
+        )
+        return [_point(row) for row in self._ask(sql, (str(beacon_id), since_ns, last, span_ns))]
+
     def beacon_ids(self) -> list[int]:
         """Every beacon that ever had an estimate in this session."""
         found = self._ask("SELECT DISTINCT beacon_id FROM targets", ())

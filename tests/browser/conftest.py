@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import math
 import os
 import shutil
@@ -13,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
@@ -22,9 +24,22 @@ from groundstation.domain.geometry import Geodetic, LocalFrame
 from groundstation.domain.inputs import ConnectionInput
 from groundstation.domain.mission import Area, Mission
 from groundstation.domain.radio import LinkActivity
-from groundstation.domain.target import Environment, LinkVerdict, LosSource, TargetState, TargetWaiting
+from groundstation.domain.target import (
+    Contribution,
+    Environment,
+    LinkVerdict,
+    LosSource,
+    TargetExplanation,
+    TargetState,
+    TargetWaiting,
+)
 from groundstation.domain.vehicle import Autopilot, VehicleState
-from groundstation.server.actions import ActionResult
+from groundstation.engine.estimator_output import regions_geodetic, search_map
+from groundstation.export import search_map_archive
+from groundstation.localization import SearchArea
+from groundstation.localization.containment import region_rings, smooth_raster
+from groundstation.localization.mesh import Mesh, MeshSettings, masses, refine
+from groundstation.server.actions import ActionResult, Sources
 from groundstation.server.app import create_app
 from groundstation.server.hub import Hub
 from groundstation.server.page_files import page_directory
@@ -84,6 +99,14 @@ class RecordingActions:
         self.taken.append(("hold_all",))
         return ActionResult(True, "hold sent to 4 vehicles")
 
+    async def join(self, beacon_id: int, into_beacon_id: int, who: str) -> ActionResult:
+        self.taken.append(("join", beacon_id, into_beacon_id))
+        return ActionResult(True, "joined")
+
+    async def separate(self, beacon_id: int, who: str) -> ActionResult:
+        self.taken.append(("separate", beacon_id))
+        return ActionResult(True, "separated")
+
 
 class Station:
     """A server in a thread of its own; values go in through ``feed``."""
@@ -109,7 +132,7 @@ class Station:
             self.stopping = asyncio.Event()
             self.hub = Hub(Picture(f"test-{self.epochs}", settings), self.clock)
             ready = asyncio.Event()
-            app = create_app(self.hub, self.actions)
+            app = create_app(self.hub, self.actions, Sources(search_map_file=search_map_archive))
             async with asyncio.TaskGroup() as group:
                 group.create_task(serve(app, listener, self.stopping, ready))
                 await ready.wait()
@@ -140,9 +163,51 @@ class Station:
         state = target(beacon_id, now, place(24, -38), 9.0, Environment.MIXED)
         self.feed(replace(state, regions=regions))
 
+    def believe(self, beacon_id: int, east_m: float = 0.0) -> None:
+        """A whole belief: two likely places in rubble, its regions, its map, and what it rests on."""
+        now = self.clock()
+        area = SearchArea(np.array([24.0 + east_m, -38.0]), 90.0, 0.0, 10.0)
+
+        def log_density(mesh: Mesh, _: Any) -> tuple[Any, float]:
+            east, north = mesh.center_enu_m[:, 0] - 24.0 - east_m, mesh.center_enu_m[:, 1] + 38.0
+            ring = np.exp(-0.5 * ((np.hypot(east, north) - 30.0) / 9.0) ** 2)
+            likely = np.exp(-0.5 * ((east - 20.0) ** 2 + (north - 16.0) ** 2) / 80.0)
+            return np.log(ring * (0.12 + likely) + 1e-6), 1.0
+
+        found = refine(area, log_density, MeshSettings(base_cells=24))
+        mass = masses(found.log_likelihood, found.mesh)
+        picture = smooth_raster(found.mesh, mass)
+        rings = regions_geodetic(region_rings(found.mesh, mass, picture=picture), FRAME)
+        state = target(beacon_id, now, place(24 + east_m, -38), 34.0, Environment.MIXED)
+        state = replace(state, regions=rings)
+        self.feed(state, search_map(state, picture, FRAME))
+
+    def explain(self, beacon_id: int, first_weight: float = 0.42) -> None:
+        """Four vehicles: one that tells most, one that contradicts, one that adds nothing."""
+        rows = (
+            Contribution(1, first_weight, 2.6, 118, 12, 0, 6.4, 1.1, -4.2, -1.3, 1.1, 0.4, 0.91),
+            Contribution(2, 0.31, 1.9, 96, 0, 3, -2.2, -0.6, None, None, None, None, 0.12),
+            Contribution(3, 0.27, 0.6, 101, 4, 9, 14.8, 3.4, 11.0, 3.9, 2.0, 1.0, 0.72),
+            Contribution(4, 0.003, 1.02, 12, 0, 0, 0.4, 0.1, None, None, None, None, None),
+        )
+        self.feed(TargetExplanation(beacon_id, self.clock(), 12, rows))
+
+    def remember(self, beacon_id: int) -> None:
+        """Ten minutes in which the radius came down."""
+        for second in range(600, -1, -5):
+            radius_m = 9.0 + 170.0 * math.exp(-(600 - second) / 130.0) + 3.0 * math.sin(second / 20.0)
+            state = target(
+                beacon_id, self.clock() - second * 10**9, place(24, -38), radius_m, Environment.NLOS
+            )
+            self.feed(state)
+
     def hear(self, beacon_id: int) -> None:
         """A new belief of a beacon, now."""
-        self.feed(target(beacon_id, self.clock(), place(24, -38), 9.0, Environment.MIXED))
+        self.feed(self.located(beacon_id))
+
+    def located(self, beacon_id: int) -> TargetState:
+        """A belief of a beacon, now."""
+        return target(beacon_id, self.clock(), place(24, -38), 9.0, Environment.MIXED)
 
     @property
     def url(self) -> str:
@@ -314,7 +379,7 @@ def open_page(browser: Browser, station: Station, errors: list[str]) -> Iterator
         page.on("request", foreign)
         page.goto(station.url)
         if map_ready:
-            page.wait_for_selector('[data-testid="map"][data-ready="true"]', timeout=30_000)
+            page.wait_for_selector('[data-testid="map"][data-ready="true"]', timeout=90_000)
         return page
 
     yield opened
@@ -328,6 +393,36 @@ def shots(tmp_path: Path) -> Path:
     directory = Path(os.environ.get("SCREENSHOT_DIR", tmp_path))
     directory.mkdir(parents=True, exist_ok=True)
     return directory
+
+
+@pytest.fixture
+def pixel() -> Callable[..., tuple[int, int, int]]:
+    """Red, green, blue of the map so many metres east and north of its middle."""
+
+    def look(page: Page, east_m: float, north_m: float) -> tuple[int, int, int]:
+        box = page.get_by_test_id("map").bounding_box()
+        assert box is not None
+        scale = page.locator(".maplibregl-ctrl-scale")
+        px_m = scale.evaluate("node => node.offsetWidth") / float(scale.inner_text().split()[0])
+        at = {
+            "x": box["x"] + box["width"] / 2 + east_m * px_m,
+            "y": box["y"] + box["height"] / 2 - north_m * px_m,
+        }
+        image = base64.b64encode(page.screenshot(clip={**at, "width": 1, "height": 1})).decode()
+        red, green, blue = page.evaluate(
+            """async (image) => {
+                const picture = new Image();
+                picture.src = `data:image/png;base64,${image}`;
+                await picture.decode();
+                const pen = document.createElement('canvas').getContext('2d');
+                pen.drawImage(picture, 0, 0);
+                return [...pen.getImageData(0, 0, 1, 1).data.slice(0, 3)];
+            }""",
+            image,
+        )
+        return red, green, blue
+
+    return look
 
 
 @pytest.fixture

@@ -13,7 +13,15 @@ from groundstation.domain.geometry import Geodetic, LocalFrame
 from groundstation.domain.inputs import MissionInput, SessionInput, TickInput
 from groundstation.domain.mission import Area, Mission
 from groundstation.domain.radio import CirCapture, CloseReason, LinkWindow
-from groundstation.domain.target import Environment, LinkVerdict, LosSource, TargetState, TargetWaiting
+from groundstation.domain.target import (
+    Environment,
+    LinkVerdict,
+    LosSource,
+    SearchMap,
+    TargetExplanation,
+    TargetState,
+    TargetWaiting,
+)
 from groundstation.engine.estimator import Estimator
 from groundstation.engine.estimator_settings import EstimatorSettings
 from groundstation.tracking import TrackingSettings
@@ -103,6 +111,10 @@ def story(
     return inputs
 
 
+def states(outputs: list) -> list[TargetState]:
+    return [output for output in outputs if isinstance(output, TargetState)]
+
+
 def error_m(state: TargetState) -> float:
     east, north, _ = FRAME.to_enu(state.position)
     return math.hypot(east - TRUTH[0], north - TRUTH[1])
@@ -171,10 +183,12 @@ def test_waits_for_an_origin_and_loses_nothing() -> None:
     assert "origin" in waiting.needed
     assert waiting.links == 1
     estimator.handle(3 * SECOND, mission())
-    event, state = estimator.handle(4 * SECOND, TickInput())
+    event, state, raster, reasons = estimator.handle(4 * SECOND, TickInput())
     assert isinstance(event, Event)
     assert event.code == "target.first_estimate"
     assert isinstance(state, TargetState)
+    assert isinstance(raster, SearchMap)
+    assert isinstance(reasons, TargetExplanation)
     assert state.windows == 2
     assert tally(estimator)["estimator_windows_taken_total"] == 2
     assert state.snapshot is None
@@ -184,8 +198,7 @@ def test_without_an_area_a_disc_round_the_first_place() -> None:
     rng = np.random.default_rng(0)
     estimator = Estimator(QUICK, None)
     play(estimator, [(0, MissionInput(Mission(1, ORIGIN), "begin")), (SECOND, window(1, 1, rng))])
-    (_, state) = estimator.handle(2 * SECOND, TickInput())
-    assert isinstance(state, TargetState)
+    (state,) = states(estimator.handle(2 * SECOND, TickInput()))
     assert 100.0 < state.radius_90_m < 500.0
     assert state.height_reference == "unknown"
 
@@ -213,12 +226,11 @@ def test_snapshot_takes_fresh_windows_only() -> None:
     rng = np.random.default_rng(1)
     late = 5 + QUICK.localization.window_age_s + 1
     play(estimator, [(int(late * SECOND), window(1, late, rng, mark=0.9))])
-    (state,) = estimator.handle(int(late * SECOND) + 1, TickInput())
-    assert isinstance(state, TargetState)
+    (state,) = states(estimator.handle(int(late * SECOND) + 1, TickInput()))
     assert (state.links, state.snapshot) == (1, None)
     long = window(2, late, rng, mark=0.9, path_length_m=QUICK.localization.window_path_m + 1)
     play(estimator, [(int(late * SECOND) + SECOND, long)])
-    (state,) = estimator.handle(int(late * SECOND) + 2 * SECOND, TickInput())
+    (state,) = states(estimator.handle(int(late * SECOND) + 2 * SECOND, TickInput()))
     assert state.links == 1
 
 
@@ -227,8 +239,7 @@ def test_all_vehicles_in_one_place_fail_the_snapshot_only() -> None:
     estimator = Estimator(QUICK, None)
     here = FRAME.to_geodetic((10.0, 10.0, 50.0))
     play(estimator, [(0, mission())] + [(SECOND, window(v, 1, rng, position=here)) for v in range(1, 5)])
-    state = estimator.handle(2 * SECOND, TickInput())[-1]
-    assert isinstance(state, TargetState)
+    (state,) = states(estimator.handle(2 * SECOND, TickInput()))
     # The posterior alone could answer; Algorithm 1 asks for two places.
     assert state.snapshot is None or state.snapshot.status == "ok"
     assert state.radius_90_m > 20.0
@@ -237,8 +248,7 @@ def test_all_vehicles_in_one_place_fail_the_snapshot_only() -> None:
 def test_another_area_moves_the_belief_at_once() -> None:
     estimator = Estimator(QUICK, None)
     play(estimator, story(8))
-    (moved,) = estimator.handle(9 * SECOND, mission(2, half_m=15.0))
-    assert isinstance(moved, TargetState)
+    (moved,) = states(estimator.handle(9 * SECOND, mission(2, half_m=15.0)))
     assert moved.radius_90_m < 25.0
     assert moved.windows == 32
     # The same ground again: nothing to do.
@@ -297,7 +307,10 @@ def test_resumed_session_tells_all_beliefs_again_and_drops_snapshots() -> None:
     estimator = Estimator(QUICK, MarkedCaptures())
     told = play(estimator, story(4, mark=0.9, beacons=(7, 8)))
     before = {state.beacon_id: state for state in told if isinstance(state, TargetState)}
-    again = estimator.handle(5 * SECOND, SessionInput("resumed", "1"))
+    outputs = estimator.handle(5 * SECOND, SessionInput("resumed", "1"))
+    again = states(outputs)
+    for kind in (SearchMap, TargetExplanation):
+        assert [told.beacon_id for told in outputs if isinstance(told, kind)] == [7, 8]
     assert [state.beacon_id for state in again] == [7, 8]
     for state in again:
         old = before[state.beacon_id]
@@ -307,7 +320,7 @@ def test_resumed_session_tells_all_beliefs_again_and_drops_snapshots() -> None:
         assert state.sequence == old.sequence + 1
     rng = np.random.default_rng(2)
     play(estimator, [(6 * SECOND, window(1, 6, rng, mark=0.9))])
-    (state,) = estimator.handle(7 * SECOND, TickInput())
+    (state,) = states(estimator.handle(7 * SECOND, TickInput()))
     assert (state.windows, state.links, state.snapshot) == (17, 1, None)
     assert error_m(state) < 10.0
 
@@ -319,7 +332,7 @@ def test_ended_session_fuses_what_waits_and_draws_all_regions() -> None:
     # Beacon 7 was updated just now: a tick would leave this window for the next one.
     heard = window(1, 4.1, rng, 7, 0.9)
     play(estimator, [(heard.end_ns, heard)])
-    assert estimator.handle(heard.end_ns + 1, TickInput()) == []
+    assert states(estimator.handle(heard.end_ns + 1, TickInput())) == []
     taken = tally(estimator)["estimator_windows_taken_total"]
     outputs = estimator.handle(heard.end_ns + 2, SessionInput("ended", "1"))
     assert tally(estimator)["estimator_windows_taken_total"] == taken + 1
@@ -327,7 +340,7 @@ def test_ended_session_fuses_what_waits_and_draws_all_regions() -> None:
     assert {beacon: state.windows for beacon, state in last.items()} == {7: 17, 8: 16}
     assert all(state.regions for state in last.values())
     # Nothing waits any more, and what is known is told again in full.
-    assert len(estimator.handle(heard.end_ns + 3, SessionInput("ended", "1"))) == 2
+    assert len(states(estimator.handle(heard.end_ns + 3, SessionInput("ended", "1")))) == 2
 
 
 def test_nothing_is_told_of_a_beacon_without_belief() -> None:

@@ -39,6 +39,13 @@ def _restore_logs() -> Iterator[None]:
         (["serve", "--link", "udpin:127.0.0.1:0", "--area", "none.json"], 1, ["none.json"]),
         (["serve", "--link", "udpin:127.0.0.1:0", "--area", "broken.json"], 1, ["broken.json"]),
         (["serve", "--link", "udpin:127.0.0.1:0", "--fence", "point.json"], 1, ["point.json", "Polygon"]),
+        (["serve", "--link", "udpin:127.0.0.1:0", "--area", "point.json"], 1, ["point.json", "radius_m"]),
+        (["serve", "--link", "udpin:127.0.0.1:0", "--terrain", "flat.asc"], 1, ["flat.asc", "--area"]),
+        (
+            ["serve", "--link", "udpin:127.0.0.1:0", "--area", "area.json", "--terrain", "flat.asc"],
+            1,
+            ["flat.asc", "ncols"],
+        ),
         (["serve", "--link", "udpin:127.0.0.1:0", "--config", "bad.toml"], 1, ["bad.toml"]),
         (
             ["serve", "--link", "udpin:127.0.0.1:0", "--set", "server.prot=1"],
@@ -67,6 +74,8 @@ def test_bad_input_is_one_clear_line(
     """In this process, as the console script is called: loading everything anew each time takes seconds."""
     (tmp_path / "broken.json").write_text('{"type": "Polygon"')
     (tmp_path / "point.json").write_text(json.dumps({"type": "Point", "coordinates": [149, -35]}))
+    (tmp_path / "area.json").write_text(json.dumps(AREA))
+    (tmp_path / "flat.asc").write_text("0 0 0\n0 0 0\n")
     (tmp_path / "bad.toml").write_text("[server]\nport = 'eight thousand'\n")
     (tmp_path / "garbage.tlog").write_bytes(b"this is no recording of anything at all" * 20)
     (tmp_path / "empty.tlog").write_bytes(b"")

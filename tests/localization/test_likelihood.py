@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from groundstation.localization.bearings import angle_log_likelihood
 from groundstation.localization.likelihood import (
     ExponentGrid,
     bearing_density,
@@ -13,7 +14,7 @@ from groundstation.localization.likelihood import (
     path_loss_db,
 )
 from groundstation.localization.problem import SignalModel
-from groundstation.localization.regression import Evidence, Observations, angle_log_likelihood, whiten
+from groundstation.localization.regression import Evidence, Observations, whiten
 
 MODEL = SignalModel(receiver_offset_std_db=1.5, los_exponent_std=0.2)
 
@@ -83,7 +84,7 @@ def test_sequential_form_is_the_multivariate_normal() -> None:
     seen = flight(9, 3, parents=9)
     grid = ExponentGrid.of(MODEL)
     candidates = np.random.default_rng(4).uniform(-80, 80, (6, 3))
-    ours = evidence_of(seen, candidates, [1, 4, 5]).log_likelihood(grid)
+    ours = evidence_of(seen, candidates, [1, 4, 5]).log_likelihood_on_grid(grid)
     dense = np.array([dense_log_likelihood(seen, x, grid) for x in candidates])
     assert np.allclose(ours - ours[0], dense - dense[0], atol=1e-8)
 
@@ -93,7 +94,9 @@ def test_shadowing_that_vehicles_share_is_the_multivariate_normal() -> None:
     seen = flight(9, 13, parents=9, foreign=True)
     grid = ExponentGrid.of(MODEL)
     candidates = np.random.default_rng(4).uniform(-80, 80, (6, 3))
-    ours = evidence_of(seen, candidates, [2, 5], replace(MODEL, shared_shadowing=0.7)).log_likelihood(grid)
+    ours = evidence_of(seen, candidates, [2, 5], replace(MODEL, shared_shadowing=0.7)).log_likelihood_on_grid(
+        grid
+    )
     dense = np.array([dense_log_likelihood(seen, x, grid, 0.7) for x in candidates])
     assert np.allclose(ours - ours[0], dense - dense[0], atol=1e-8)
 
@@ -112,7 +115,7 @@ def test_few_parents_are_close() -> None:
     seen = Observations(*parts)
     grid = ExponentGrid.of(MODEL)
     candidates = rng.uniform(-80, 80, (8, 3))
-    ours = evidence_of(seen, candidates, []).log_likelihood(grid)
+    ours = evidence_of(seen, candidates, []).log_likelihood_on_grid(grid)
     dense = np.array([dense_log_likelihood(seen, x, grid) for x in candidates])
     assert np.abs((ours - ours[0]) - (dense - dense[0])).max() < 0.1
 
@@ -121,8 +124,8 @@ def test_batches_do_not_matter() -> None:
     seen = flight(12, 5, parents=3)
     candidates = np.random.default_rng(1).uniform(-80, 80, (5, 3))
     grid = ExponentGrid.of(MODEL)
-    one = evidence_of(seen, candidates, []).log_likelihood(grid)
-    many = evidence_of(seen, candidates, list(range(1, 12))).log_likelihood(grid)
+    one = evidence_of(seen, candidates, []).log_likelihood_on_grid(grid)
+    many = evidence_of(seen, candidates, list(range(1, 12))).log_likelihood_on_grid(grid)
     assert np.allclose(one, many, atol=1e-9)
 
 
@@ -142,7 +145,7 @@ def test_second_visit_to_a_place_teaches_little() -> None:
         )  # fmt: skip
         evidence = Evidence.empty(2, 1)
         evidence.add(seen, whiten(seen, 0, 1, 25.0, model), candidates)
-        both = evidence.log_likelihood(ExponentGrid.of(model))
+        both = evidence.log_likelihood_on_grid(ExponentGrid.of(model))
         return float(abs(both[0] - both[1]))
 
     hovering = gap(np.tile([80.0, 0, 50], (10, 1)), np.full(10, -40.0))
@@ -193,7 +196,7 @@ def test_one_bearing_among_liars_claims_less_than_one_among_witnesses() -> None:
         evidence = Evidence.empty(2, 1, len(shares))
         chosen = replace(model, los_shares=shares)
         evidence.angle_log += angle_log_likelihood(seen, 0, candidates, np.full((2, 2), 0.5), chosen)
-        at_a, at_b = evidence.log_likelihood(ExponentGrid.of(model))
+        at_a, at_b = evidence.log_likelihood_on_grid(ExponentGrid.of(model))
         return float(at_a - at_b)
 
     liars = bearings([a, *scattered], 0.5)
@@ -222,3 +225,68 @@ def test_boxes_of_any_width_add_up_to_the_ray(width: float, tolerance: float) ->
     # d(azimuth) d(elevation) = dy dz / away² on the ray.
     total = density.sum() * cell**2 / away**2
     assert abs(total - 1.0) < tolerance
+
+
+def fine_grid(model: SignalModel) -> ExponentGrid:
+    """β_LOS in 121 steps over ±5 σ, β_NLOS in 400."""
+    los = model.los_exponent + model.los_exponent_std * np.linspace(-5.0, 5.0, 121)
+    weight = np.exp(-0.5 * np.square((los - model.los_exponent) / model.los_exponent_std))
+    span = model.nlos_exponent_max - model.nlos_exponent_min
+    nlos = model.nlos_exponent_min + span * (np.arange(400) + 0.5) / 400
+    mass = np.repeat(weight / weight.sum() / 400, 400)
+    return ExponentGrid(np.repeat(los, 400), np.tile(nlos, 121), np.log(mass), los, nlos, model)
+
+
+@pytest.mark.parametrize("limits", [(2.0, 3.5), (1.5, 8.0), (4.0, 5.0)])
+def test_exponents_in_closed_form_are_the_fine_sum(limits: tuple[float, float]) -> None:
+    """β_NLOS within, at and outside its limits; β_LOS uncertain: differences to 0.05."""
+    model = replace(MODEL, nlos_exponent_min=limits[0], nlos_exponent_max=limits[1])
+    seen = flight(40, 9, parents=3)
+    candidates = np.random.default_rng(4).uniform(-80, 80, (12, 3))
+    evidence = evidence_of(seen, candidates, [7], model)
+    ours = evidence.log_likelihood(ExponentGrid.of(model))
+    fine = evidence.log_likelihood_on_grid(fine_grid(model))
+    np.testing.assert_allclose(ours - ours[0], fine - fine[0], atol=0.05)
+    # With the noise unknown β_LOS is taken as Gaussian on the noise's scale: so here it is certain.
+    certain = replace(model, los_exponent_std=0.0)
+    ours = evidence.log_likelihood(ExponentGrid.of(certain), 6.0)
+    fine = evidence.log_likelihood_on_grid(ExponentGrid.of(certain, 400), 6.0)
+    np.testing.assert_allclose(ours - ours[0], fine - fine[0], atol=0.05)
+
+
+def test_antennas_null_is_the_multivariate_normal() -> None:
+    """g ~ N(1, 0.8) as a rank-one part of the covariance, all earlier windows as parents: to 1e-8."""
+    model = replace(MODEL, antenna_null_mean=1.0, antenna_null_std=0.8, los_exponent_std=0.0)
+    model = replace(model, nlos_exponent_min=2.7, nlos_exponent_max=2.7)
+    seen = flight(9, 3, parents=9)
+    candidates = np.random.default_rng(4).uniform(-80, 80, (6, 3)) * [1, 1, 0.1]
+    evidence = Evidence.empty(6, 2)
+    for first, last in [(0, 4), (4, 9)]:
+        part = Observations(*(getattr(seen, name)[:last] for name in Observations.__dataclass_fields__))
+        evidence.add(part, whiten(part, first, 2, 25.0, model), candidates, null=model.has_antenna_null)
+    ours = evidence.log_likelihood(ExponentGrid.of(model))
+    p = seen.los_probability
+    rows = whiten(seen, 0, 2, 25.0, replace(model, transmit_power_min_dbm=0.0, transmit_power_max_dbm=0.0))
+    dense = []
+    for x in candidates:
+        away = x - seen.position_enu_m
+        cos2 = np.square(away[:, :2]).sum(axis=1) / np.square(away).sum(axis=1)
+        null = 10.0 * np.log10(np.maximum(cos2, 0.02))
+        path = path_loss_db(seen.position_enu_m, x[None])[:, 0]
+        exponent = p * model.los_exponent + (1.0 - p) * 2.7
+        mean = model.transmit_power_mean_dbm - exponent * path - 0.5 * model.nlos_bias_max_db * (1 - p) + null
+        # The covariance that the whitening stands for, power and offsets put back.
+        mix = np.zeros((9, 9))
+        for row in range(9):
+            family = np.concatenate([[row], np.where(seen.parents[row] >= 0, seen.parents[row], 0)])
+            np.add.at(mix[row], family, rows.mixing[row])
+        base = np.linalg.inv(mix.T @ mix)
+        offset = np.sqrt(model.receiver_offset_std_db**2 + (1 - p) * model.nlos_bias_max_db**2 / 12)
+        base += np.outer(offset, offset) * (seen.link[:, None] == seen.link)
+        base += model.transmit_power_std_db**2 + 0.8**2 * np.outer(null, null)
+        dense.append(multivariate_normal(mean, base).logpdf(seen.rss_dbm))
+    np.testing.assert_allclose(ours - ours[0], np.array(dense) - dense[0], atol=1e-8)
+    flat = evidence.log_likelihood(
+        ExponentGrid.of(replace(model, antenna_null_mean=0.0, antenna_null_std=0.0))
+    )
+    assert np.abs((ours - ours[0]) - (flat - flat[0])).max() > 0.1

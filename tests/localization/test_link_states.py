@@ -7,10 +7,11 @@ from itertools import product
 import numpy as np
 import pytest
 
+from groundstation.localization.bearings import angle_log_likelihood
 from groundstation.localization.likelihood import ANYWHERE, ExponentGrid
 from groundstation.localization.link_states import MAXIMUM_DOUBTFUL, LinkStates, doubtful_links
 from groundstation.localization.problem import Links, SignalModel
-from groundstation.localization.regression import Evidence, Observations, angle_log_likelihood, whiten
+from groundstation.localization.regression import Evidence, Observations, whiten
 
 MODEL = SignalModel(
     receiver_offset_std_db=1.5,
@@ -63,7 +64,7 @@ def tracker_log_likelihood(
     evidence.add(seen, rows, center)
     evidence.angle_log += angle_log_likelihood(seen, 0, center, half, model)
     scale = np.log(rows.scale).sum() + 0.5 * np.linalg.slogdet(evidence.loading_loading)[1]
-    return evidence.log_likelihood(GRID) - scale
+    return evidence.log_likelihood_on_grid(GRID) - scale
 
 
 def ours(links: Links, center: np.ndarray, half: np.ndarray, model: SignalModel = MODEL) -> np.ndarray:

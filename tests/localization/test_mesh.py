@@ -12,7 +12,7 @@ from groundstation.localization.mesh import (
     smooth_moments,
     split,
 )
-from groundstation.localization.problem import SearchArea
+from groundstation.localization.problem import GroundHeights, SearchArea
 
 DISC = SearchArea(np.zeros(2), 100.0, 0.0, 20.0)
 SETTINGS = MeshSettings()
@@ -145,3 +145,40 @@ def test_smooth_moments_are_those_of_a_gaussian_and_of_a_slab() -> None:
     flat = base_mesh(DISC, SETTINGS)
     _, covariance = smooth_moments(flat, masses(np.zeros(flat.count), flat), DISC)
     assert abs(covariance[2, 2] / (400.0 / 12.0) - 1.0) < 0.01
+
+
+def hill(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    return 0.4 * east - 0.2 * north + 30.0
+
+
+def over_the_hill() -> SearchArea:
+    along = np.linspace(-120.0, 120.0, 25)
+    east, north = np.meshgrid(along, along)
+    ground = GroundHeights(-120.0, -120.0, 10.0, hill(east, north), np.ones(east.shape, dtype=bool))
+    return DISC.over(ground, 1.0, 15.0)
+
+
+def test_boxes_follow_the_ground_through_every_split() -> None:
+    area = over_the_hill()
+    mesh = base_mesh(area, SETTINGS)
+    for _ in range(3):
+        ground = hill(mesh.center_enu_m[:, 0], mesh.center_enu_m[:, 1])
+        low = mesh.center_enu_m[:, 2] - mesh.half_m[:, 1] - ground
+        high = mesh.center_enu_m[:, 2] + mesh.half_m[:, 1] - ground
+        assert low.min() > 1.0 - 1e-9
+        assert high.max() < 15.0 + 1e-9
+        assert abs(np.exp(mesh.log_volume).sum() / (np.pi * 1e4 * 14.0) - 1.0) < 0.03
+        mesh, _ = split(mesh, area)
+
+
+def test_over_level_ground_nothing_is_different() -> None:
+    ground = GroundHeights(-150.0, -150.0, 300.0, np.full((2, 2), 7.0), np.ones((2, 2), dtype=bool))
+    level, plain = DISC.over(ground, 0.0, 20.0), SearchArea(np.zeros(2), 100.0, 7.0, 27.0)
+    for one, other in ((base_mesh(level, SETTINGS), base_mesh(plain, SETTINGS)),):
+        for _ in range(2):
+            assert np.allclose(one.center_enu_m, other.center_enu_m, atol=1e-9)
+            assert np.array_equal(one.log_volume, other.log_volume)
+            one, other = split(one, level)[0], split(other, plain)[0]
+    mass = np.full(one.count, 1.0 / one.count)
+    for a, b in zip(smooth_moments(one, mass, level), smooth_moments(other, mass, plain), strict=True):
+        assert np.allclose(a, b, atol=1e-6)

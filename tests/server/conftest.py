@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+import struct
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,13 @@ from groundstation.domain.events import Event, Severity
 from groundstation.domain.geometry import Geodetic
 from groundstation.domain.mission import Ring
 from groundstation.domain.radio import LinkActivity
-from groundstation.domain.target import Environment, TargetState
+from groundstation.domain.target import (
+    Contribution,
+    Environment,
+    SearchMap,
+    TargetExplanation,
+    TargetState,
+)
 from groundstation.domain.vehicle import Autopilot, VehicleState
 from groundstation.server.actions import ActionResult, Sources
 from groundstation.server.app import create_app
@@ -102,6 +109,29 @@ class Make:
         return tuple(shares)
 
     @staticmethod
+    def search_map(beacon_id: int = 7, **changes: Any) -> SearchMap:
+        values: dict[str, Any] = {
+            "beacon_id": beacon_id,
+            "time_ns": 2_000,
+            "sequence": 3,
+            "origin": PLACE,
+            "west_m": -10.0,
+            "north_m": 4.0,
+            "cell_m": 2.5,
+            "rows": 1,
+            "columns": 2,
+            "corners": ((1.0, 2.0), (1.0, 3.0), (0.5, 3.0), (0.5, 2.0)),
+            "share": struct.pack("<2f", 0.25, 0.75),
+            "containment": struct.pack("<2H", 10_000, 7_500),
+        }
+        return SearchMap(**{**values, **changes})
+
+    @staticmethod
+    def explanation(beacon_id: int = 7, weight: float = 0.4) -> TargetExplanation:
+        own = Contribution(1, weight, 2.5, 30, 2, 1, 6.1, 1.2, None, None, None, None, None)
+        return TargetExplanation(beacon_id, 2_000, 3, (own,))
+
+    @staticmethod
     def activity(vehicle_id: int = 1, beacon_id: int = 7, time_ns: int = 1_500) -> LinkActivity:
         return LinkActivity(vehicle_id, beacon_id, time_ns, -70.0, -100.0, 12, 3, 1)
 
@@ -135,6 +165,14 @@ class RecordingActions:
 
     async def hold_all(self, who: str) -> ActionResult:
         self.taken.append(("hold_all", who))
+        return self.result
+
+    async def join(self, beacon_id: int, into_beacon_id: int, who: str) -> ActionResult:
+        self.taken.append(("join", beacon_id, into_beacon_id, who))
+        return self.result
+
+    async def separate(self, beacon_id: int, who: str) -> ActionResult:
+        self.taken.append(("separate", beacon_id, who))
         return self.result
 
 

@@ -33,6 +33,12 @@ class _Willing:
     async def hold_all(self, who: str) -> ActionResult:
         return ActionResult(True, "done")
 
+    async def join(self, beacon_id: int, into_beacon_id: int, who: str) -> ActionResult:
+        raise AssertionError("no beacon was heard: nothing can be joined")
+
+    async def separate(self, beacon_id: int, who: str) -> ActionResult:
+        raise AssertionError("no beacon was heard: nothing can be separated")
+
 
 def _app() -> Any:
     hub = Hub(Picture("e", ServerSettings(allowed_hosts=("testserver",))), lambda: 5)

@@ -16,7 +16,9 @@ from groundstation.server.settings import ServerSettings
 
 _steps = st.lists(
     st.tuples(
-        st.sampled_from(["vehicle", "proposal", "gone", "link", "event", "regions", "waiting"]),
+        st.sampled_from(
+            ["vehicle", "proposal", "gone", "link", "event", "regions", "explanation", "waiting"]
+        ),
         st.integers(1, 4),
     ),
     max_size=12,
@@ -31,6 +33,7 @@ class _Page:
             "link": {},
             "target": {},
             "regions": {},
+            "explanation": {},
         }
         self.events: list[int] = []
 
@@ -47,6 +50,8 @@ class _Page:
             self.tables["target"][target.beacon_id] = target
         for regions in delta.rows.regions:
             self.tables["regions"][regions.beacon_id] = regions
+        for told in delta.rows.explanations:
+            self.tables["explanation"][told.beacon_id] = told
         self.events.extend(event.number for event in delta.events)
 
 
@@ -70,6 +75,9 @@ def test_merged_is_the_same_as_in_turn(make: Any, first: Any, second: Any, third
                     picture.apply(make.activity(number, 7, count))
                 case "regions":
                     picture.apply(make.target(number, regions=make.regions(north_deg=count * 1e-5)))
+                case "explanation":
+                    picture.apply(make.target(number))
+                    picture.apply(make.explanation(number, weight=count * 1e-3))
                 case "waiting":
                     picture.apply(TargetWaiting(number, count, 1, 1, "more"))
                 case _:

@@ -8,6 +8,7 @@ import httpx
 import pytest
 
 from groundstation.domain.errors import InternalError, PeerError, ResourceError
+from groundstation.domain.target import TargetJoined
 from groundstation.server.actions import ActionResult
 from groundstation.server.hub import Hub
 
@@ -123,4 +124,45 @@ async def test_a_body_that_is_no_text_is_refused_in_one_line(
     answer = await client.post("/api/v1/proposals/p-1/confirm", content=b"\xa9", headers=headers)
     assert answer.status_code == 400
     assert answer.headers["content-type"] == "application/problem+json"
+    assert actions.taken == []
+
+
+async def test_two_ids_are_joined_and_separated(
+    client: httpx.AsyncClient, hub: Hub, actions: Any, make: Any
+) -> None:
+    for beacon_id in (7, 8, 9):
+        hub.apply(make.target(beacon_id))
+    answer = await client.post("/api/v1/targets/8/join", json={"into_beacon_id": "7"})
+    assert answer.status_code == 202
+    hub.apply(TargetJoined(8, 5, 3, 4, 7))
+    # Into one that is joined itself means into the one that it is joined into.
+    assert (await client.post("/api/v1/targets/9/join", json={"into_beacon_id": "8"})).status_code == 202
+    assert (await client.post("/api/v1/targets/8/separate")).status_code == 202
+    assert actions.taken == [("join", 8, 7, WHO), ("join", 9, 7, WHO), ("separate", 8, WHO)]
+
+
+@pytest.mark.parametrize(
+    ("path", "into", "status", "words"),
+    [
+        ("7/join", "7", 409, "are one already"),
+        ("7/join", "8", 409, "are one already"),
+        ("8/join", "9", 409, "joined into 7 already"),
+        ("7/join", "5", 404, "beacon 5 was never heard"),
+        ("5/join", "7", 404, "beacon 5 was never heard"),
+        ("7/join", "seven", 422, "into_beacon_id"),
+        ("7/separate", None, 409, "not joined"),
+        ("5/separate", None, 404, "never heard"),
+    ],
+)
+async def test_what_cannot_be_joined_says_why(
+    client: httpx.AsyncClient, hub: Hub, actions: Any, make: Any,
+    path: str, into: str | None, status: int, words: str,
+) -> None:  # fmt: skip
+    hub.apply(make.target(7))
+    hub.apply(make.target(9))
+    hub.apply(TargetJoined(8, 5, 3, 4, 7))
+    body = None if into is None else {"into_beacon_id": into}
+    answer = await client.post(f"/api/v1/targets/{path}", json=body)
+    assert answer.status_code == status
+    assert words in answer.json()["detail"]
     assert actions.taken == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import httpx
@@ -12,28 +13,11 @@ from groundstation.domain.events import Counter, Event
 from groundstation.domain.geometry import Geodetic
 from groundstation.domain.inputs import ConnectionInput
 from groundstation.domain.mission import Mission
-from groundstation.domain.target import TargetWaiting
+from groundstation.domain.target import TargetJoined, TargetWaiting
 from groundstation.server.actions import Sources
 from groundstation.server.app import create_app
 from groundstation.server.hub import Hub
-from groundstation.server.rest import HealthCheck, SearchMap
-
-
-def _raster(beacon_id: int) -> SearchMap:
-    return SearchMap(
-        schema_version=1,
-        server_time_ns="1",
-        beacon_id=str(beacon_id),
-        time_ns="1",
-        north_west_latitude_deg=1.0,
-        north_west_longitude_deg=1.0,
-        south_east_latitude_deg=0.5,
-        south_east_longitude_deg=1.5,
-        cell_size_m=5.0,
-        rows=1,
-        columns=2,
-        probability=[0.25, 0.75],
-    )
+from groundstation.server.rest import HealthCheck, HistoryPoint
 
 
 async def test_tables(client: httpx.AsyncClient, hub: Hub, make: Any) -> None:
@@ -92,7 +76,9 @@ async def test_what_is_not_there_is_said_in_one_line(client: httpx.AsyncClient, 
     for path, words in (
         ("targets/7", "beacon 7 was never heard"),
         ("targets/8/search-map", "2 more vehicles must hear it"),
-        ("targets/9/search-map", "keeps no raster"),
+        ("targets/9/search-map", "none was drawn yet"),
+        ("targets/9/explanation", "not worked out yet"),
+        ("targets/7/history", "beacon 7 was never heard"),
         ("targets/7/regions", "beacon 7 was never heard"),
         ("targets/8/regions", "2 more vehicles must hear it"),
         ("targets/9/regions", "drew none"),
@@ -108,12 +94,116 @@ async def test_what_is_not_there_is_said_in_one_line(client: httpx.AsyncClient, 
         assert "\n" not in answer.json()["detail"]
 
 
-async def test_a_search_map_is_passed_on(hub: Hub, actions: Any, make: Any) -> None:
+async def test_the_newest_search_map_is_given_with_its_georeference(
+    client: httpx.AsyncClient, hub: Hub, make: Any
+) -> None:
     hub.apply(make.target(9))
-    app = create_app(hub, actions, Sources(search_map=_raster), page_directory=None)
-    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://[::1]:8000") as client:
-        answer = await client.get("/api/v1/targets/9/search-map")
-        assert answer.json()["probability"] == [0.25, 0.75]
+    hub.apply(make.search_map(9, time_ns=1_000))
+    hub.apply(make.search_map(9))
+    found = (await client.get("/api/v1/targets/9/search-map")).json()
+    assert (found["beacon_id"], found["time_ns"], found["server_time_ns"]) == ("9", "2000", "5000")
+    assert (found["probability"], found["containment"]) == ([0.25, 0.75], [1.0, 0.75])
+    assert (found["rows"], found["columns"], found["cell_size_m"]) == (1, 2, 2.5)
+    assert (found["west_m"], found["north_m"]) == (-10.0, 4.0)
+    assert (found["origin_latitude_deg"], found["origin_longitude_deg"]) == (-35.3625, 149.1654)
+    assert found["corners_deg"] == [[2.0, 1.0], [3.0, 1.0], [3.0, 0.5], [2.0, 0.5]]
+    assert (found["north_west_latitude_deg"], found["south_east_longitude_deg"]) == (1.0, 3.0)
+    # It goes with the estimate that it belongs to, and never rides on the stream.
+    hub.apply(TargetWaiting(9, 5, 4, 1, "a vehicle must hear it"))
+    assert (await client.get("/api/v1/targets/9/search-map")).status_code == 404
+
+
+async def test_a_search_map_of_no_estimate_is_not_kept(hub: Hub, make: Any) -> None:
+    hub.apply(make.search_map(9))
+    hub.apply(make.explanation(9))
+    assert (hub.picture.search_maps, len(hub.picture.explanations)) == ({}, 0)
+
+
+async def test_the_file_of_a_search_map_comes_from_who_can_write_it(
+    hub: Hub, actions: Any, make: Any
+) -> None:
+    hub.apply(make.target(9))
+    hub.apply(make.search_map(9, time_ns=1_700_000_000_000_000_000))
+    sources = Sources(search_map_file=lambda found: b"zip of " + str(found.beacon_id).encode())
+    app = create_app(hub, actions, sources, page_directory=None)
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
+        answer = await client.get("/api/v1/targets/9/search-map/file")
+        assert (answer.content, answer.headers["content-type"]) == (b"zip of 9", "application/zip")
+        assert 'filename="search-map-9-1700000000.zip"' in answer.headers["content-disposition"]
+    app = create_app(hub, actions, Sources(), page_directory=None)
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
+        assert (await client.get("/api/v1/targets/9/search-map/file")).status_code == 404
+
+
+async def test_reasons_are_given(client: httpx.AsyncClient, hub: Hub, make: Any) -> None:
+    hub.apply(make.target(9))
+    hub.apply(make.explanation(9))
+    found = (await client.get("/api/v1/targets/9/explanation")).json()
+    assert (found["beacon_id"], found["sequence"]) == ("9", 3)
+    (row,) = found["contributions"]
+    assert (row["vehicle_id"], row["weight"], row["area_factor"]) == (1, 0.4, 2.5)
+    assert (row["power_residual_db"], row["azimuth_residual_deg"]) == (6.1, None)
+
+
+async def test_history_is_thinned_evenly_and_ends_with_the_newest(
+    client: httpx.AsyncClient, hub: Hub, make: Any
+) -> None:
+    second = 1_000_000_000
+    for half in range(1, 2001):
+        hub.apply(make.target(9, time_ns=half * second // 2, radius_90_m=float(half)))
+    points = (await client.get("/api/v1/targets/9/history?limit=50")).json()["points"]
+    assert 25 < len(points) <= 50
+    times = [int(point["time_ns"]) for point in points]
+    assert times[-1] == 1000 * second
+    gaps = {b - a for a, b in pairwise(times[:-1])}
+    assert len(gaps) == 1
+    assert points[-1]["radius_90_m"] == 2000.0
+    assert points[-1]["latitude_deg"] == make.place.latitude_deg
+    late = (await client.get(f"/api/v1/targets/9/history?since_ns={900 * second}")).json()["points"]
+    assert all(int(point["time_ns"]) > 900 * second for point in late)
+    assert late[-1] == points[-1]
+
+
+async def test_history_comes_from_the_database_where_there_is_one(hub: Hub, actions: Any, make: Any) -> None:
+    hub.apply(make.target(9))
+    asked: list[tuple[int, int, int]] = []
+    known = HistoryPoint(
+        time_ns="5",
+        latitude_deg=1.0,
+        longitude_deg=2.0,
+        altitude_amsl_m=3.0,
+        radius_90_m=4.0,
+        windows=5,
+        links=6,
+    )
+
+    async def database(beacon_id: int, since_ns: int, limit: int) -> Sequence[HistoryPoint]:
+        asked.append((beacon_id, since_ns, limit))
+        return [known]
+
+    app = create_app(hub, actions, Sources(history=database), page_directory=None)
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
+        answer = (await client.get("/api/v1/targets/9/history?since_ns=3&limit=7")).json()
+    assert answer["points"] == [known.model_dump()]
+    assert asked == [(9, 3, 7)]
+
+
+async def test_a_joined_beacon_says_into_whom(client: httpx.AsyncClient, hub: Hub, make: Any) -> None:
+    hub.apply(make.target(8, regions=make.regions()))
+    hub.apply(make.search_map(8))
+    hub.apply(make.target(9, joined_beacon_ids=(8,)))
+    hub.apply(TargetJoined(8, 5, 3, 4, 9))
+    row = (await client.get("/api/v1/targets/8")).json()
+    assert (row["state"], row["joined_into"], row["position"], row["last_heard_ns"]) == (
+        "joined",
+        "9",
+        None,
+        "4",
+    )
+    assert (await client.get("/api/v1/targets/9")).json()["joined_beacon_ids"] == ["8"]
+    for what in ("search-map", "regions", "explanation"):
+        answer = await client.get(f"/api/v1/targets/8/{what}")
+        assert "joined into beacon 9" in answer.json()["detail"]
 
 
 async def test_older_events_come_from_the_database(hub: Hub, actions: Any, make: Any) -> None:

@@ -29,6 +29,7 @@ UNITS = (
     "_deg",
     "_rad",
     "_dbm",
+    "_db",
     "_hz",
     "_percent",
     "_v",
@@ -41,6 +42,8 @@ UNITLESS = {
     "gps_fix_type", "satellites", "los_probability", "links", "los_links", "windows", "sequence", "revision",
     "attempts", "number", "seq", "previous_seq", "schema_version", "status", "clients", "vehicles", "targets",
     "rows", "columns", "probability", "share", "vehicle_id", "mission_revision", "target_sequence",
+    "weight", "area_factor", "redundant", "outliers", "power_score", "azimuth_score", "elevation_score",
+    "containment", "walking_probability",
 }  # fmt: skip
 
 

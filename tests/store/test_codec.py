@@ -19,6 +19,7 @@ from groundstation.domain.inputs import (
     Direction,
     DropInput,
     FrameInput,
+    JoinInput,
     MissionInput,
     OperatorInput,
     PlanInput,
@@ -26,7 +27,7 @@ from groundstation.domain.inputs import (
     SessionInput,
     TickInput,
 )
-from groundstation.domain.mission import Area, FlightLimits, Mission
+from groundstation.domain.mission import Area, FlightLimits, LastKnownPlace, Mission, Terrain
 from groundstation.store.codec import (
     CLASS_OF,
     CRC,
@@ -57,6 +58,11 @@ MISSION = st.builds(
     ground_amsl_m=st.none() | ANY_FLOAT,
     height_reference=ANY_TEXT,
     limits=st.builds(FlightLimits, *[ANY_FLOAT] * 6),
+    last_known=st.lists(
+        st.builds(LastKnownPlace, *[ANY_FLOAT] * 3, ANY_TEXT, st.none() | U64), max_size=3
+    ).map(tuple),
+    terrain=st.none()
+    | st.builds(Terrain, *[ANY_FLOAT] * 4, I64, st.lists(st.none() | I64, max_size=5).map(tuple), ANY_TEXT),
 )
 PROPOSAL = st.builds(
     Proposal,
@@ -84,6 +90,7 @@ INPUTS: dict[type, st.SearchStrategy[AnyInput]] = {
         PlanInput, I64, st.lists(PROPOSAL, max_size=3).map(tuple), st.lists(ANY_TEXT, max_size=3).map(tuple)
     ),
     SessionInput: st.builds(SessionInput, ANY_TEXT, ANY_TEXT),
+    JoinInput: st.builds(JoinInput, ANY_TEXT, U64, st.none() | U64),
 }
 RECORD = st.builds(Record, U64, I64, I64, st.one_of(*INPUTS.values()))
 

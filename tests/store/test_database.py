@@ -9,6 +9,7 @@ import sys
 import textwrap
 import threading
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -237,3 +238,21 @@ def test_readers_do_not_wait_for_the_writer(database: Database) -> None:
         assert len(database.reader.recent_events()) == 1
     finally:
         lock.close()
+
+
+def test_a_curve_is_even_in_time_and_ends_with_the_newest(
+    database: Database, target_state: Callable[..., TargetState]
+) -> None:
+    for tenth in range(1, 1001):
+        database.store(target_state(7, tenth, tenth * 100_000_000))
+    database.store(target_state(8, 1, 5))
+    database.flush()
+    curve = database.reader.target_curve(7, limit=20)
+    assert 10 < len(curve) <= 20
+    times = [point.time_ns for point in curve]
+    assert times[-1] == 100_000_000_000
+    gaps = [b - a for a, b in pairwise(times)]
+    assert max(gaps) - min(gaps) <= 100_000_000
+    late = database.reader.target_curve(7, 90_000_000_000, 1000)
+    assert [point.time_ns for point in late] == [tenth * 100_000_000 for tenth in range(901, 1001)]
+    assert database.reader.target_curve(9) == []

@@ -180,13 +180,13 @@ def test_bearings_that_agree_are_believed_though_nobody_judged(fly) -> None:
     for windows in flight.seconds:
         belief.update([replace(w, classified=False, los_probability=0.3) for w in windows])
     said = containment(belief.mesh, belief.mass)
-    assert np.hypot(*(said.position_enu_m - flight.truth_enu_m)[:2]) < said.radius_90_m < 10.0
+    assert np.hypot(*(said.position_enu_m - flight.truth_enu_m)[:2]) < 1.5 * said.radius_90_m < 5.0
 
 
 def test_misjudged_bearings_do_not_capture_the_belief(fly) -> None:
     """Every tenth obstructed window is called LOS at 0.95, its bearing stable over 25 m; 8 runs, seed 75."""
     rng = np.random.default_rng(75)
-    inside = 0
+    ratio = []
     for _ in range(8):
         flight = fly(rng, (0, 0, 0, 0), 28)
         belief = Belief(flight.area, SERVICE_MODEL, TrackingSettings())
@@ -207,8 +207,10 @@ def test_misjudged_bearings_do_not_capture_the_belief(fly) -> None:
                     )
             belief.update(batch)
         said = containment(belief.mesh, belief.mass)
-        inside += bool(np.hypot(*(said.position_enu_m - flight.truth_enu_m)[:2]) <= said.radius_90_m)
-    assert inside >= 6
+        ratio.append(np.hypot(*(said.position_enu_m - flight.truth_enu_m)[:2]) / max(said.radius_90_m, 5.0))
+    # A captured belief is sure of a wrong place: 5 to 20 radii off.
+    assert max(ratio) < 2.5
+    assert np.count_nonzero(np.array(ratio) <= 1.0) >= 6
 
 
 def test_belief_kept_with_other_settings_is_related_anew(fly) -> None:
@@ -232,3 +234,56 @@ def test_power_estimate_follows(fly) -> None:
     for windows in flight.seconds:
         belief.update(windows)
     assert 5.0 < belief.transmit_power_dbm() < 26.0
+
+
+def eastern(center_enu_m: np.ndarray, half_m: np.ndarray) -> np.ndarray:
+    """A prior map: a Gaussian of 8 m about (60, 0)."""
+    assert half_m.shape == (center_enu_m.shape[0], 2)
+    return -0.5 * np.square((center_enu_m[:, :2] - [60.0, 0.0]) / 8.0).sum(axis=1)
+
+
+def southern(center_enu_m: np.ndarray, _: np.ndarray) -> np.ndarray:
+    return np.where(center_enu_m[:, 1] > 0.0, -20.0, 0.0)
+
+
+def test_fields_count_from_the_start_and_can_be_taken_away(fly) -> None:
+    belief = belief_here()
+    belief.set_field("prior", eastern)
+    said = containment(belief.mesh, belief.mass)
+    # The circle that holds 90 % of a Gaussian: 2.146 σ; the boxes are laid finer where it is.
+    assert said.radius_90_m == pytest.approx(2.146 * 8.0, rel=0.05)
+    assert np.hypot(*(said.position_enu_m[:2] - [60.0, 0.0])) < 1.0
+    flight = fly(np.random.default_rng(12), (0, 0), 10)
+    with_field, without = belief_here(), belief_here()
+    with_field.set_field("prior", eastern)
+    for windows in flight.seconds:
+        with_field.update(windows)
+        without.update(windows)
+    with_field.set_area(without.area)
+    without.set_area(without.area)
+    assert np.abs(containment(with_field.mesh, with_field.mass).position_enu_m[:2] - [60.0, 0.0]).max() < 30.0
+    with_field.set_field("prior", None)
+    with_field.set_area(without.area)
+    np.testing.assert_allclose(
+        containment(with_field.mesh, with_field.mass).position_enu_m,
+        containment(without.mesh, without.mass).position_enu_m,
+        atol=3.0,
+    )
+
+
+def test_restored_belief_with_fields_continues_bit_for_bit(fly) -> None:
+    flight = fly(np.random.default_rng(13), (0, 0, 0), 20)
+    whole = belief_here()
+    whole.set_field("prior", eastern)
+    whole.set_field("silence", southern)
+    for windows in flight.seconds[:11]:
+        whole.update(windows)
+    again = Belief.restore(whole.state(), whole.area, PAPER, SETTINGS)
+    again.set_field("silence", southern)
+    again.set_field("prior", eastern)
+    assert (whole.mass == again.mass).all()
+    for windows in flight.seconds[11:]:
+        whole.update(windows)
+        again.update(windows)
+        assert (whole.mass == again.mass).all()
+    assert whole.mass[whole.mesh.center_enu_m[:, 1] > 5.0].sum() < 1e-6

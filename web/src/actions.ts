@@ -29,5 +29,8 @@ const id = encodeURIComponent;
 export const confirmProposal = (proposal_id: string, vehicle_id: number): Promise<Outcome> =>
   post(`/api/v1/proposals/${id(proposal_id)}/confirm`, { vehicle_id });
 export const dismissProposal = (proposal_id: string): Promise<Outcome> => post(`/api/v1/proposals/${id(proposal_id)}/dismiss`);
+export const joinBeacons = (beacon_id: string, into_beacon_id: string): Promise<Outcome> =>
+  post(`/api/v1/targets/${id(beacon_id)}/join`, { into_beacon_id });
+export const separateBeacon = (beacon_id: string): Promise<Outcome> => post(`/api/v1/targets/${id(beacon_id)}/separate`);
 export const holdVehicle = (vehicle_id: number): Promise<Outcome> => post(`/api/v1/vehicles/${vehicle_id}/hold`);
 export const holdAll = (): Promise<Outcome> => post("/api/v1/hold-all");

@@ -3,6 +3,7 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import type { Outcome } from "./actions";
 import type { Connection } from "./connection";
+import type { Fetched } from "./fetched";
 import { MapView } from "./map/index";
 import { Beacons } from "./panels/beacons";
 import type { Context } from "./panels/context";
@@ -19,6 +20,7 @@ import type { ThemeName } from "./themes/palette";
 export interface Props {
   store: Store;
   connection: Connection;
+  fetched: Fetched;
   /** Calls back after every change, at most once a frame; returns how to stop. */
   subscribe(callback: () => void): () => void;
 }
@@ -35,7 +37,7 @@ let notices = 0;
 
 const storedTheme = (): ThemeName => (localStorage.getItem("theme") === "dark" ? "dark" : "light");
 
-export function App({ store, connection, subscribe }: Props) {
+export function App({ store, connection, fetched, subscribe }: Props) {
   const [, setFrame] = useState(0);
   const [theme, setTheme] = useState<ThemeName>(storedTheme);
   const [tab, setTab] = useState<Tab>("Vehicles");
@@ -44,6 +46,7 @@ export function App({ store, connection, subscribe }: Props) {
   const [selected, setSelected] = useState("");
   const [shown, setShown] = useState<Notice[]>([]);
   const [spacing_m, setSpacing] = useState(0);
+  const [searchMap, setSearchMap] = useState(() => localStorage.getItem("search-map") === "shown");
   const container = useRef<HTMLDivElement>(null);
   const view = useRef<MapView | null>(null);
 
@@ -57,7 +60,7 @@ export function App({ store, connection, subscribe }: Props) {
     return () => window.clearInterval(timer);
   }, []);
   useEffect(() => {
-    if (container.current && !view.current) view.current = new MapView(container.current, store, theme, choose, setSpacing);
+    if (container.current && !view.current) view.current = new MapView(container.current, store, theme, choose, setSpacing, fetched);
   }, []);
   useEffect(() => {
     document.documentElement.dataset["theme"] = theme;
@@ -66,6 +69,11 @@ export function App({ store, connection, subscribe }: Props) {
   }, [theme]);
 
   useEffect(() => view.current?.setSelected(selected), [selected]);
+  useEffect(() => {
+    localStorage.setItem("search-map", searchMap ? "shown" : "hidden");
+    view.current?.setSearchMap(searchMap);
+  }, [searchMap]);
+  useEffect(() => fetched.forget(), [store.epoch]);
 
   function choose(key: string): void {
     setSelected(key);
@@ -84,7 +92,7 @@ export function App({ store, connection, subscribe }: Props) {
   }
 
   const context: Context = {
-    store, connection, selected, act,
+    store, connection, fetched, selected, act,
     // A replay's time runs and stands as it likes: nothing is counted on beyond its newest message.
     station_ms: store.station?.source === "replay" ? connection.clock.newest_ms : connection.clock.station_ms(),
     select: choose,
@@ -103,7 +111,7 @@ export function App({ store, connection, subscribe }: Props) {
         <div class="left">
           <div class="map-frame">
             <div class="map" ref={container} data-testid="map" role="application" aria-label="Map of vehicles and beacons; the same is in the tables" />
-            <Legend spacing_m={spacing_m} view={view.current} />
+            <Legend context={context} spacing_m={spacing_m} view={view.current} searchMap={searchMap} setSearchMap={setSearchMap} />
             <div class="notices" aria-live="assertive">
               {shown.map((notice) => (
                 <div key={notice.id} class={`notice ${notice.ok ? "" : "bad"}`} role={notice.ok ? "status" : "alert"} data-testid="notice">

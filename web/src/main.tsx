@@ -2,6 +2,7 @@
 import { render } from "preact";
 import { App } from "./app";
 import { Connection } from "./connection";
+import { Fetched } from "./fetched";
 import { Store } from "./store";
 import "./themes/page.css";
 
@@ -22,11 +23,13 @@ const url = new URL("api/v1/stream", document.baseURI);
 url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
 const connection = new Connection(url.href, store, changed);
 
+const fetched = new Fetched(changed);
+
 function subscribe(callback: () => void): () => void {
   listeners.add(callback);
   return () => listeners.delete(callback);
 }
 
 const root = document.getElementById("app");
-if (root) render(<App store={store} connection={connection} subscribe={subscribe} />, root);
+if (root) render(<App store={store} connection={connection} fetched={fetched} subscribe={subscribe} />, root);
 connection.start();

@@ -1,7 +1,7 @@
 // The picture as this page knows it: rows by key, brought forward by snapshots and deltas.
 // Rule: it never invents state; what it shows was in a message.
 import type {
-  CommandRow, ConnectionRow, CounterRow, Delta, EventRow, ForwardRow, Heartbeat, LinkRow, MissionRow,
+  CommandRow, ConnectionRow, CounterRow, Delta, EventRow, ExplanationRow, ForwardRow, Heartbeat, LinkRow, MissionRow,
   ProposalRow, RegionsRow, Rows, Snapshot, StationRow, TargetRow, VehicleRow,
 } from "./wire";
 import { distance_m } from "./units";
@@ -9,11 +9,11 @@ import { distance_m } from "./units";
 export type StreamMessage = Snapshot | Delta | Heartbeat;
 export type Applied = "ok" | "gap";
 export type Table =
-  | "vehicles" | "links" | "targets" | "regions" | "proposals" | "commands" | "connections" | "counters" | "forwards"
+  | "vehicles" | "links" | "targets" | "regions" | "explanations" | "proposals" | "commands" | "connections" | "counters" | "forwards"
   | "mission" | "station" | "events" | "trails";
 
 const TABLE_OF = {
-  vehicle: "vehicles", link: "links", target: "targets", regions: "regions", proposal: "proposals", command: "commands", connection: "connections",
+  vehicle: "vehicles", link: "links", target: "targets", regions: "regions", explanation: "explanations", proposal: "proposals", command: "commands", connection: "connections",
 } as const;
 const EVENTS_MAX = 500;
 const TRAIL_MAX = 300;
@@ -30,6 +30,7 @@ export class Store {
   links = new Map<string, LinkRow>();
   targets = new Map<string, TargetRow>();
   regions = new Map<string, RegionsRow>();
+  explanations = new Map<string, ExplanationRow>();
   proposals = new Map<string, ProposalRow>();
   commands = new Map<string, CommandRow>();
   connections = new Map<string, ConnectionRow>();
@@ -67,7 +68,7 @@ export class Store {
     const same = message.epoch === this.epoch;
     this.epoch = message.epoch;
     this.seq = message.seq;
-    for (const table of [this.vehicles, this.links, this.targets, this.regions, this.proposals, this.commands, this.connections, this.counters]) table.clear();
+    for (const table of [this.vehicles, this.links, this.targets, this.regions, this.explanations, this.proposals, this.commands, this.connections, this.counters]) table.clear();
     this.forwards = [];
     this.mission = null;
     this.station = null;
@@ -75,7 +76,7 @@ export class Store {
     this.merge(message.rows);
     const known = same ? this.events.filter((event) => event.number < (message.events[0]?.number ?? Infinity)) : [];
     this.events = [...known, ...message.events].slice(-EVENTS_MAX);
-    const all: Table[] = ["vehicles", "links", "targets", "regions", "proposals", "commands", "connections", "counters", "forwards", "mission", "station", "events", "trails"];
+    const all: Table[] = ["vehicles", "links", "targets", "regions", "explanations", "proposals", "commands", "connections", "counters", "forwards", "mission", "station", "events", "trails"];
     all.forEach((table) => this.touch(table));
   }
 
@@ -90,6 +91,7 @@ export class Store {
         case "link": this.links.delete(key); break;
         case "target": this.targets.delete(key); break;
         case "regions": this.regions.delete(key); break;
+        case "explanation": this.explanations.delete(key); break;
         case "proposal": this.proposals.delete(key); break;
         case "command": this.commands.delete(key); break;
         case "connection": this.connections.delete(key); break;
@@ -109,6 +111,7 @@ export class Store {
     this.put("links", this.links, rows.links, linkKey);
     this.put("targets", this.targets, rows.targets, (row) => row.beacon_id);
     this.put("regions", this.regions, rows.regions, (row) => row.beacon_id);
+    this.put("explanations", this.explanations, rows.explanations, (row) => row.beacon_id);
     this.put("proposals", this.proposals, rows.proposals, (row) => row.proposal_id);
     this.put("commands", this.commands, rows.commands, (row) => row.command_id);
     this.put("connections", this.connections, rows.connections, (row) => row.connection);

@@ -2,7 +2,7 @@
 import type { Delta, EventRow, Heartbeat, LinkRow, ProposalRow, RegionsRow, Rows, Snapshot, TargetRow, VehicleRow } from "../src/wire";
 
 export const rows = (changes: Partial<Rows> = {}): Rows => ({
-  vehicles: [], links: [], targets: [], regions: [], proposals: [], commands: [], connections: [], counters: [],
+  vehicles: [], links: [], targets: [], regions: [], explanations: [], proposals: [], commands: [], connections: [], counters: [],
   forwards: null, mission: null, station: null, ...changes,
 });
 
@@ -35,7 +35,7 @@ export const event = (number: number): EventRow => ({
 });
 
 export const target = (beacon_id: string, time_s = 100): TargetRow => ({
-  beacon_id, state: "located", time_ns: `${time_s}000000000`, first_heard_ns: "1", last_heard_ns: "1", links: 3, los_links: 1, needed: "",
+  beacon_id, state: "located", joined_into: null, joined_beacon_ids: [], walking_probability: null, time_ns: `${time_s}000000000`, first_heard_ns: "1", last_heard_ns: "1", links: 3, los_links: 1, needed: "",
   position: { latitude_deg: 0.5, longitude_deg: 10, altitude_amsl_m: 0 }, covariance_enu_m2: [9, 0, 0, 4, 0, 1], radius_90_m: 8,
   environment: "mixed", method: "adaptive", windows: 9, height_reference: "home", sequence: 1, snapshot_position: null,
   snapshot_method: null, snapshot_status: null,

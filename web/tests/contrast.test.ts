@@ -47,6 +47,14 @@ for (const theme of ["light", "dark"] as const) {
     }
   });
 
+  test(`${theme}: the search map's classes are told apart, and the likeliest from the ground`, () => {
+    const colours = palettes[theme].search;
+    for (let at = 1; at < colours.length; at += 1) expect(contrast(colours[at - 1] ?? "", colours[at] ?? "")).toBeGreaterThanOrEqual(1.25);
+    for (const likely of colours.slice(0, 4)) expect(contrast(likely, palettes[theme].background)).toBeGreaterThanOrEqual(3);
+    expect(contrast(colours[6] ?? "", palettes[theme].background)).toBeGreaterThanOrEqual(1.1);
+    expect(colours).toEqual(colours.map((_, at) => themes[theme][`search${at}`]));
+  });
+
   test(`${theme}: the legend and the map use the same scale`, () => {
     expect([0, 1, 2].map((at) => themes[theme][`los${at}`])).toEqual(palettes[theme].los);
     expect(themes[theme]["unclassified"]).toBe(palettes[theme].unclassified);

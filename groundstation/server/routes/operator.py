@@ -12,15 +12,17 @@ from fastapi import APIRouter
 
 from groundstation.server.actions import ActionResult
 from groundstation.server.problems import ProblemError
-from groundstation.server.rest import ActionAnswer, ConfirmBody
+from groundstation.server.rest import ActionAnswer, ConfirmBody, JoinBody
 from groundstation.server.routes.common import (
     ActionsDep,
+    BeaconPath,
     HubDep,
     ProposalPath,
     VehiclePath,
     WhoDep,
     problems,
 )
+from groundstation.server.wire import TargetRow
 
 router = APIRouter(prefix="/api/v1", tags=["actions"])
 
@@ -79,3 +81,49 @@ async def hold(vehicle_id: VehiclePath, actions: ActionsDep, who: WhoDep) -> Act
 async def hold_all(actions: ActionsDep, who: WhoDep) -> ActionAnswer:
     """Hold every vehicle where it is."""
     return _answer(await actions.hold_all(who))
+
+
+def _known(hub: HubDep, beacon_id: str) -> TargetRow:
+    row = hub.picture.targets.row(int(beacon_id))
+    if row is None:
+        raise ProblemError(
+            HTTPStatus.NOT_FOUND, "unknown-beacon", f"beacon {beacon_id} was never heard in this session"
+        )
+    return row
+
+
+@router.post(
+    "/targets/{beacon_id}/join", status_code=202, responses=problems(400, 403, 404, 409, 413, 422, 503)
+)
+async def join(
+    beacon_id: BeaconPath, body: JoinBody, hub: HubDep, actions: ActionsDep, who: WhoDep
+) -> ActionAnswer:
+    """Say that this id is another one's (a phone that changed its address); can be taken back."""
+    row, into = _known(hub, beacon_id), _known(hub, body.into_beacon_id)
+    root = into.joined_into or into.beacon_id
+    if row.joined_into is not None:
+        raise ProblemError(
+            HTTPStatus.CONFLICT,
+            "joined-already",
+            f"beacon {row.beacon_id} is joined into {row.joined_into} already; separate it first",
+        )
+    if root == row.beacon_id:
+        raise ProblemError(
+            HTTPStatus.CONFLICT,
+            "joined-already",
+            f"beacon {row.beacon_id} and beacon {into.beacon_id} are one already",
+        )
+    return _answer(await actions.join(int(row.beacon_id), int(root), who))
+
+
+@router.post(
+    "/targets/{beacon_id}/separate", status_code=202, responses=problems(403, 404, 409, 413, 422, 503)
+)
+async def separate(beacon_id: BeaconPath, hub: HubDep, actions: ActionsDep, who: WhoDep) -> ActionAnswer:
+    """Take a join back: this id stands for itself again."""
+    row = _known(hub, beacon_id)
+    if row.joined_into is None:
+        raise ProblemError(
+            HTTPStatus.CONFLICT, "not-joined", f"beacon {row.beacon_id} is not joined into another"
+        )
+    return _answer(await actions.separate(int(row.beacon_id), who))

@@ -5,12 +5,13 @@ from __future__ import annotations
 from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 
+from groundstation.domain.target import SearchMap
 from groundstation.server import rest, rows
 from groundstation.server.problems import ProblemError
 from groundstation.server.routes.common import BeaconPath, HubDep, SourcesDep, problems
-from groundstation.server.wire import SCHEMA_VERSION, RegionsRow, TargetRow
+from groundstation.server.wire import SCHEMA_VERSION, ExplanationRow, RegionsRow, TargetRow
 
 router = APIRouter(prefix="/api/v1", tags=["state"])
 
@@ -40,17 +41,86 @@ async def target(hub: HubDep, beacon_id: BeaconPath) -> TargetRow:
     return _target(hub, beacon_id)
 
 
-@router.get("/targets/{beacon_id}/search-map", responses=problems(404, 422))
-async def search_map(hub: HubDep, sources: SourcesDep, beacon_id: BeaconPath) -> rest.SearchMap:
-    """Where the beacon could be, as a raster, if the tracker keeps one."""
+def _why_not(row: TargetRow, else_: str) -> str:
+    if row.state == "joined":
+        return f"it is joined into beacon {row.joined_into}, see there"
+    return row.needed if row.state == "waiting" else else_
+
+
+def _search_map(hub: HubDep, beacon_id: str) -> SearchMap:
     row = _target(hub, beacon_id)
-    raster = sources.search_map(int(beacon_id)) if sources.search_map else None
-    if raster is None:
-        why = row.needed if row.state == "waiting" else "its tracker keeps no raster, see its radius_90_m"
+    found = hub.picture.search_maps.get(int(beacon_id))
+    if found is None:
+        why = _why_not(row, "none was drawn yet, see its radius_90_m")
         raise ProblemError(
             HTTPStatus.NOT_FOUND, "no-search-map", f"there is no search map of beacon {beacon_id}: {why}"
         )
-    return raster
+    return found
+
+
+@router.get("/targets/{beacon_id}/search-map", responses=problems(404, 422))
+async def search_map(hub: HubDep, beacon_id: BeaconPath) -> rest.SearchMap:
+    """Where the beacon could be, as a raster with its georeference: the newest one drawn."""
+    return rows.search_map(_search_map(hub, beacon_id), hub.clock())
+
+
+@router.get(
+    "/targets/{beacon_id}/search-map/file",
+    response_class=Response,
+    responses={
+        200: {"content": {"application/zip": {}}, "description": "The archive."},
+        **problems(404, 422),
+    },
+)
+async def search_map_file(hub: HubDep, sources: SourcesDep, beacon_id: BeaconPath) -> Response:
+    """The same for a GIS: a ZIP archive with two ESRI ASCII grids and their projection."""
+    found = _search_map(hub, beacon_id)
+    if sources.search_map_file is None:
+        raise ProblemError(
+            HTTPStatus.NOT_FOUND, "no-search-map", "this server writes no files of search maps"
+        )
+    name = f"search-map-{int(beacon_id)}-{found.time_ns // 1_000_000_000}.zip"
+    return Response(
+        sources.search_map_file(found),
+        media_type="application/zip",
+        headers={"content-disposition": f'attachment; filename="{name}"'},
+    )
+
+
+@router.get("/targets/{beacon_id}/explanation", responses=problems(404, 422))
+async def explanation(hub: HubDep, beacon_id: BeaconPath) -> ExplanationRow:
+    """Why the belief is what it is: each vehicle's weight and how well it agrees."""
+    row = _target(hub, beacon_id)
+    found = hub.picture.explanations.row(int(beacon_id))
+    if found is None:
+        why = _why_not(row, "it was not worked out yet")
+        raise ProblemError(
+            HTTPStatus.NOT_FOUND, "no-explanation", f"beacon {beacon_id} cannot be explained: {why}"
+        )
+    return found
+
+
+@router.get("/targets/{beacon_id}/history", responses=problems(404, 422))
+async def history(
+    hub: HubDep,
+    sources: SourcesDep,
+    beacon_id: BeaconPath,
+    limit: Annotated[int, Query(ge=2, le=2000, description="How many points at most.")] = 200,
+    since_ns: Annotated[
+        str, Query(pattern=r"^[0-9]{1,18}$", description="Only beliefs after this station time, ns.")
+    ] = "0",
+) -> rest.TargetHistory:
+    """How the estimate came about: positions and radii, evenly over the time, the newest last."""
+    _target(hub, beacon_id)
+    points = None
+    if sources.history is not None:
+        points = await sources.history(int(beacon_id), int(since_ns), limit)
+    return rest.TargetHistory(
+        schema_version=SCHEMA_VERSION,
+        server_time_ns=str(hub.clock()),
+        beacon_id=beacon_id,
+        points=list(points or rows.history(hub.picture.histories.of(int(beacon_id), int(since_ns), limit))),
+    )
 
 
 @router.get("/targets/{beacon_id}/regions", responses=problems(404, 422))
@@ -59,7 +129,7 @@ async def regions(hub: HubDep, beacon_id: BeaconPath) -> RegionsRow:
     row = _target(hub, beacon_id)
     found = hub.picture.regions.row(int(beacon_id))
     if found is None:
-        why = row.needed if row.state == "waiting" else "its tracker drew none, see its radius_90_m"
+        why = _why_not(row, "its tracker drew none, see its radius_90_m")
         raise ProblemError(
             HTTPStatus.NOT_FOUND, "no-regions", f"there are no regions of beacon {beacon_id}: {why}"
         )

@@ -2,6 +2,7 @@
 import { Map as MapLibre, NavigationControl, Popup, ScaleControl, setWorkerUrl, type GeoJSONSource, type StyleSpecification } from "maplibre-gl";
 import workerUrl from "maplibre-gl/dist/maplibre-gl-worker.mjs?worker&url";
 import "maplibre-gl/dist/maplibre-gl.css";
+import type { Fetched } from "../fetched";
 import type { Store, Table } from "../store";
 import { palettes, type ThemeName } from "../themes/palette";
 import type { Place } from "../wire";
@@ -13,6 +14,7 @@ import { links } from "./links";
 import { mission } from "./mission";
 import { proposals } from "./proposals";
 import { regions } from "./regions";
+import { SearchMapLayer } from "./searchmap";
 import { targets } from "./targets";
 import { trails } from "./trails";
 import { vehicles } from "./vehicles";
@@ -43,6 +45,7 @@ export class MapView {
   private readonly map: MapLibre;
   private readonly popup = new Popup({ closeButton: false, closeOnClick: false, maxWidth: "320px", offset: 14 });
   private readonly drawn = new Map<string, string>();
+  private readonly searchMap: SearchMapLayer;
   private ready = false;
   private fitted = false;
   private moves = 0;
@@ -59,6 +62,7 @@ export class MapView {
     theme: ThemeName,
     private readonly select: (key: string) => void,
     private readonly spacing: (spacing_m: number) => void,
+    fetched: Fetched,
   ) {
     this.theme = theme;
     const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -66,6 +70,7 @@ export class MapView {
       container, style: style(theme), center: [0, 0], zoom: 1, maxZoom: 22, attributionControl: false,
       dragRotate: false, pitchWithRotate: false, touchPitch: false, fadeDuration: still ? 0 : 100,
     });
+    this.searchMap = new SearchMapLayer(this.map, store, fetched);
     this.map.touchZoomRotate.disableRotation();
     this.map.addControl(new NavigationControl({ showCompass: false }), "top-right");
     this.map.addControl(new ScaleControl({ unit: "metric", maxWidth: 140 }), "bottom-left");
@@ -125,6 +130,7 @@ export class MapView {
       this.drawn.set(layer.id, stamp);
       (this.map.getSource(layer.id) as GeoJSONSource | undefined)?.setData(layer.data(this.store, view));
     }
+    this.searchMap.update(this.selected, this.theme);
     this.spacing(spacingOf(view));
   }
 
@@ -136,6 +142,12 @@ export class MapView {
     const outside = content.west < seen.west || content.east > seen.east || content.south < seen.south || content.north > seen.north;
     const share = Math.max((content.east - content.west) / (seen.east - seen.west), (content.north - content.south) / (seen.north - seen.south));
     if (outside || (share < 0.25 && this.map.getZoom() < FIT_ZOOM_MAX - 0.1)) this.fit();
+  }
+
+  /** Shows or hides the squares of the search map. */
+  setSearchMap(shown: boolean): void {
+    this.searchMap.shown = shown;
+    this.update();
   }
 
   setSelected(key: string): void {
@@ -150,9 +162,12 @@ export class MapView {
   setTheme(theme: ThemeName): void {
     if (theme === this.theme) return;
     this.theme = theme;
+    this.ready = false;
     this.map.setStyle(style(theme), { diff: false });
     this.map.once("style.load", () => {
+      this.ready = true;
       this.drawn.clear();
+      this.searchMap.reset();
       this.update();
     });
   }

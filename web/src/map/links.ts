@@ -36,7 +36,8 @@ export const links: MapLayer = {
     const focus = [...store.links.values()].some(picked);
     for (const row of store.links.values()) {
       const from = store.vehicles.get(row.vehicle_id)?.position;
-      const to = store.targets.get(row.beacon_id)?.position;
+      const target = store.targets.get(row.beacon_id);
+      const to = (target?.joined_into ? store.targets.get(target.joined_into) : target)?.position;
       if (!from || !to) continue;
       const classified = isClassified(row);
       const verdict = classified ? `P(LOS) ${probability(row.los_probability)}, by ${row.los_source}` : `unclassified${row.los_reason ? `: ${row.los_reason}` : ""}`;

@@ -1,8 +1,10 @@
 // Beacons: where, how sure, how old; or what is missing for a position.
 import { useState } from "preact/hooks";
-import { age, coordinates, heardAge, metres, shortId } from "../units";
+import { age, coordinates, heardAge, metres, probability, shortId } from "../units";
 import type { Place, TargetRow } from "../wire";
-import { ageOf, type Context } from "./context";
+import { separateBeacon } from "../actions";
+import { ageOf, isReplay, type Context } from "./context";
+import { Why } from "./why";
 
 const ENVIRONMENT = { unknown: "environment unknown", los: "line of sight", mixed: "mixed", nlos: "no line of sight" } as const;
 
@@ -50,14 +52,38 @@ function Copy({ text, label }: { text: string; label: string }) {
   );
 }
 
+/** From here on the operator is told that the person may not stay where the estimate is. */
+const MAY_WALK = 0.2;
+
+/** An id that the operator said is another one's. */
+function Joined({ context, row, heard }: { context: Context; row: TargetRow; heard: string }) {
+  const into = shortId(row.joined_into ?? "");
+  return (
+    <li class="card beacon" data-testid={`beacon-${row.beacon_id}`} data-state={row.state}>
+      <div class="where">
+        <span title={row.beacon_id}><strong>Beacon {shortId(row.beacon_id)}</strong> joined into <span class="nowrap">{into}</span> · <span class="detail nowrap" data-testid="heard">{heard}</span></span>
+        {!isReplay(context) && (
+          <button type="button" class="plain small" data-testid={`separate-${row.beacon_id}`} onClick={() => context.act(`Separate beacon ${shortId(row.beacon_id)}`, separateBeacon(row.beacon_id))}>
+            Separate
+          </button>
+        )}
+      </div>
+    </li>
+  );
+}
+
 function Beacon({ context, row }: { context: Context; row: TargetRow }) {
   const key = `target:${row.beacon_id}`;
+  const [open, setOpen] = useState(false);
+  const ids = [row.beacon_id, ...row.joined_beacon_ids];
   // A radio link tells at once; the belief takes it in when its window is full, or later still when busy.
-  const times = [...context.store.links.values()].filter((link) => link.beacon_id === row.beacon_id).map((link) => link.last_heard_ns);
+  const times = [...context.store.links.values()].filter((link) => ids.includes(link.beacon_id)).map((link) => link.last_heard_ns);
   const heard_s = ageOf(context, [row.last_heard_ns, ...times].reduce((a, b) => (BigInt(a) > BigInt(b) ? a : b)));
   const position_s = ageOf(context, row.time_ns) ?? 0;
   const heard = `heard ${heardAge(heard_s)}${heardAge(heard_s) === "now" ? "" : " ago"}`;
   const place = row.position;
+  if (row.state === "joined") return <Joined context={context} row={row} heard={heard} />;
+  const walking = row.walking_probability ?? 0;
   return (
     <li class={`card beacon ${context.selected === key ? "selected" : ""}`} data-testid={`beacon-${row.beacon_id}`} data-key={key} data-state={row.state}>
       <div class="card-head">
@@ -80,12 +106,18 @@ function Beacon({ context, row }: { context: Context; row: TargetRow }) {
           </div>
           <p class="detail">
             {position_s >= OLD_POSITION_S && <span class="old-position nowrap">position {age(position_s)} old · </span>}
+            {walking >= MAY_WALK && <strong class="walking nowrap" data-testid="walking">may be walking ({probability(walking)}) · </strong>}
+            {row.joined_beacon_ids.length > 0 && <span class="nowrap" data-testid="joined-ids">with {row.joined_beacon_ids.map(shortId).join(", ")} · </span>}
             {ENVIRONMENT[row.environment]} · {row.los_links ?? 0} of {row.links} links LOS · {height(context, row, place)}
           </p>
         </>
       ) : (
         <p class="needed">Waiting: {row.needed}</p>
       )}
+      <button type="button" class="plain small why-button" aria-expanded={open} data-testid={`why-button-${row.beacon_id}`} onClick={() => setOpen(!open)}>
+        {open ? "▾" : "▸"} {place ? "Why there?" : "More"}
+      </button>
+      {open && <Why context={context} row={row} />}
     </li>
   );
 }

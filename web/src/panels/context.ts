@@ -1,5 +1,6 @@
 // What every panel gets: the picture, the station's time, and ways to act.
 import type { Connection } from "../connection";
+import type { Fetched } from "../fetched";
 import type { Store } from "../store";
 import { milliseconds } from "../units";
 import type { Place } from "../wire";
@@ -13,6 +14,7 @@ export const isReplay = (context: Context): boolean => context.store.station?.so
 export interface Context {
   store: Store;
   connection: Connection;
+  fetched: Fetched;
   /** Station time of this rendering, ms. */
   station_ms: number;
   selected: string;

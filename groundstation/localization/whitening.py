@@ -1,0 +1,133 @@
+"""Windows along flights, made independent: each minus what those it resembles foretell of it.
+
+Exists because shadowing is correlated: passing twice over the same ground, with the same vehicle
+or another, teaches little, and this model knows. Every observation is conditioned on the few
+earlier ones that it resembles most (Vecchia, 1988), wherever along the flights they lie. Rule: none
+of the covariances depends on the candidate, so one whitening serves all; the mixture of a link's
+two states enters by its first two moments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from groundstation.localization.likelihood import (
+    expected_excess_db,
+    mixture_variance_db2,
+    offset_variance_db2,
+)
+from groundstation.localization.problem import FloatArray, SignalModel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """n link observations in order of arrival; row i's parents are earlier rows, of any link."""
+
+    position_enu_m: FloatArray
+    """(n, 3) where the vehicle was, metres."""
+    link: Any
+    """(n,) int: number of the vehicle, 0 … V−1."""
+    rss_dbm: FloatArray
+    """(n,) received power; NaN = none."""
+    los_probability: FloatArray
+    """(n,) P(line of sight)."""
+    white_variance_db2: FloatArray
+    """(n,) measurement noise of the power besides shadowing, dB²; larger for what looks an outlier."""
+    azimuth_rad: FloatArray
+    """(n,) NaN = none."""
+    elevation_rad: FloatArray
+    """(n,) NaN = none."""
+    angle_std_rad: FloatArray
+    """(n, 2) standard deviations of azimuth and elevation, the vehicle's constant error apart."""
+    angle_probability: FloatArray
+    """(n,) P(line of sight) as the angles use it; differs where the power's model is broad anyway."""
+    angle_weight: FloatArray
+    """(n,) how far whether the angles are genuine is news, 0 to 1: from near by it is not."""
+    parents: Any
+    """(n, m) int: rows conditioned on; −1 = none."""
+
+    @property
+    def count(self) -> int:
+        """n."""
+        return int(self.rss_dbm.size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whitened:
+    """Rows of the whitened regression, the same for every candidate position."""
+
+    rows: Any
+    """(r,) int: which observations they come from."""
+    mixing: FloatArray
+    """(r, 1 + m): factor of the row's own loading and of its parents'."""
+    level: FloatArray
+    """(r,) whitened y − E[P_t] + E[b]."""
+    loading: FloatArray
+    """(r, 1 + V): on (P_t, offset of each link), in prior standard deviations."""
+    scale: FloatArray
+    """(r,) standard deviation before whitening, dB."""
+
+    def of_links(self, links: int) -> Whitened:
+        """The same rows where there are more links by now."""
+        more = 1 + links - self.loading.shape[1]
+        return self if more <= 0 else replace(self, loading=np.pad(self.loading, ((0, 0), (0, more))))
+
+
+def _shadowing_covariance(
+    observations: Observations, a: Any, b: Any, correlation_m: float, model: SignalModel
+) -> FloatArray:
+    """Covariance of shadowing between rows a and b (broadcast), dB². LOS and NLOS fields are independent."""
+    gap = np.linalg.norm(observations.position_enu_m[a] - observations.position_enu_m[b], axis=-1)
+    p, q = observations.los_probability[a], observations.los_probability[b]
+    both = p * q * model.rss_std_db**2 + (1.0 - p) * (1.0 - q) * model.nlos_rss_std_db**2
+    alike = np.where(observations.link[a] == observations.link[b], 1.0, model.shared_shadowing)
+    result: FloatArray = both * alike * np.exp(-gap / correlation_m)
+    return result
+
+
+def whiten(
+    observations: Observations, first: int, links: int, correlation_m: float, model: SignalModel
+) -> Whitened:
+    """Whiten the rows from ``first`` on: each minus its expectation given its parents, over its spread."""
+    rows = np.arange(first, observations.count)
+    rows = rows[np.isfinite(observations.rss_dbm[rows])]
+    parents = observations.parents[rows]
+    present = parents >= 0
+    safe = np.where(present, parents, 0)
+    p = observations.los_probability
+    total = p * model.rss_std_db**2 + (1.0 - p) * model.nlos_rss_std_db**2
+    shadowing = p**2 * model.rss_std_db**2 + (1.0 - p) ** 2 * model.nlos_rss_std_db**2
+    nugget = (
+        total
+        - shadowing
+        + mixture_variance_db2(p, model, model.nlos_bias_max_db)
+        + observations.white_variance_db2
+    )
+    among = _shadowing_covariance(observations, safe[:, :, None], safe[:, None, :], correlation_m, model) * (
+        present[:, :, None] & present[:, None, :]
+    )
+    width = parents.shape[1]
+    diagonal = np.arange(width)
+    among[:, diagonal, diagonal] += np.where(present, nugget[safe], 1.0)
+    toward = _shadowing_covariance(observations, safe, rows[:, None], correlation_m, model) * present
+    weights = np.linalg.solve(among, toward[..., None])[..., 0] if rows.size else toward
+    variance = shadowing[rows] + nugget[rows] - np.einsum("rm,rm->r", weights, toward)
+    scale = np.sqrt(np.maximum(variance, 1e-6))
+    mixing = np.concatenate([np.ones((rows.size, 1)), -weights], axis=1) / scale[:, None]
+    family = np.concatenate([rows[:, None], safe], axis=1)
+    base = (
+        np.nan_to_num(observations.rss_dbm)
+        - model.receiver_offset_db
+        - model.transmit_power_mean_dbm
+        + expected_excess_db(p, model.nlos_bias_max_db)
+    )
+    offset_std = np.sqrt(offset_variance_db2(p, model, model.nlos_bias_max_db))
+    loading = np.zeros((rows.size, 1 + links))
+    loading[:, 0] = model.transmit_power_std_db * mixing.sum(axis=1)
+    own_row = np.repeat(np.arange(rows.size)[:, None], family.shape[1], axis=1)
+    np.add.at(loading, (own_row, 1 + observations.link[family]), mixing * offset_std[family])
+    level = (mixing * base[family]).sum(axis=1)
+    return Whitened(rows, mixing, level, loading, scale)

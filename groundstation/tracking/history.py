@@ -1,0 +1,278 @@
+"""The windows that a belief remembers, and how each is related to those before it.
+
+Exists because a belief is rebuilt from its windows (other boxes, another area) and because
+windows resemble each other: whom each is conditioned on is settled here, once, on arrival.
+Rules: memory is bounded, and what had to go is counted; a window from a place heard from often
+enough is refused and counted; no candidate position enters here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from groundstation.localization.problem import FloatArray, SignalModel
+from groundstation.localization.whitening import Observations
+from groundstation.tracking.settings import TrackingSettings
+
+_COLUMNS = 15
+(
+    _EAST, _NORTH, _UP, _LINK, _RSS, _LOS, _WHITE, _AZ, _EL, _AZ_STD, _EL_STD, _FRESH, _ANGLE_P,
+    _TIME, _SHARP,
+) = range(_COLUMNS)  # fmt: skip
+WHITE = _WHITE
+"""Column of a row that holds the white variance of its power, dB²."""
+_LEAST_FRESH = 0.02
+_TIE_M2 = 1e-9
+"""Of two windows equally far away the earlier one is the nearer."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackObservation:
+    """What the tracker needs of one link window."""
+
+    vehicle_id: int
+    position_enu_m: tuple[float, float, float]
+    """Where the vehicle was, metres ENU."""
+    rss_dbm: float | None
+    rss_std_error_db: float | None
+    """Standard error of the average; None = not known."""
+    azimuth_rad: float | None
+    elevation_rad: float | None
+    azimuth_std_rad: float | None
+    """Standard error of the averaged azimuth; None = the model's."""
+    elevation_std_rad: float | None
+    los_probability: float
+    classified: bool = True
+    """False: nobody judged the link, ``los_probability`` is a prior. Its power is then taken as
+    NLOS, whose model is broad enough for both; its angles count by the beacon's other ones."""
+    time_s: float = 0.0
+    """End of the window, station time, seconds."""
+
+
+@dataclass(slots=True)
+class Counts:
+    """What became of one vehicle's windows since the first."""
+
+    taken: int = 0
+    redundant: int = 0
+    outliers: int = 0
+
+
+class History:
+    """n windows in order of arrival; see the module."""
+
+    def __init__(self, model: SignalModel, settings: TrackingSettings) -> None:
+        self._model, self._settings = model, settings
+        self._foreign = settings.foreign_parents if model.shared_shadowing > 0.0 else 0
+        self._width = settings.parents + self._foreign
+        self.vehicles: list[int] = []
+        """Vehicles in order of their first window: their place is their link's number."""
+        self.counts: list[Counts] = []
+        """Of each of ``vehicles``."""
+        self._rows: FloatArray = np.zeros((0, _COLUMNS))
+        self._parents: Any = np.zeros((0, self._width), dtype=np.int64)
+
+    @property
+    def count(self) -> int:
+        """n."""
+        return int(self._rows.shape[0])
+
+    def row(self, window: TrackObservation) -> FloatArray | None:
+        """The window as numbers; None: it tells neither a power nor a usable bearing."""
+        has_rss = window.rss_dbm is not None and math.isfinite(window.rss_dbm)
+        has_angle = (
+            window.azimuth_rad is not None
+            and window.elevation_rad is not None
+            and math.isfinite(window.azimuth_rad)
+            and math.isfinite(window.elevation_rad)
+            and window.los_probability > 0.0
+        )
+        if not (has_rss or has_angle) or not all(map(math.isfinite, window.position_enu_m)):
+            return None
+        if window.vehicle_id not in self.vehicles:
+            self.vehicles.append(window.vehicle_id)
+            self.counts.append(Counts())
+        probability = min(max(window.los_probability, 0.0), 1.0)
+        return np.array(
+            [
+                *window.position_enu_m,
+                self.vehicles.index(window.vehicle_id),
+                window.rss_dbm if has_rss else math.nan,
+                probability if window.classified else 0.0,
+                self._settings.sample_std_db**2 + (window.rss_std_error_db or 0.0) ** 2,
+                window.azimuth_rad if has_angle else math.nan,
+                window.elevation_rad if has_angle else math.nan,
+                max(window.azimuth_std_rad or 0.0, self._model.azimuth_std_rad),
+                max(window.elevation_std_rad or 0.0, self._model.elevation_std_rad),
+                1.0,
+                min(max(probability, 0.01), 0.99) if window.classified else 0.5,
+                window.time_s,
+                1.0,
+            ]
+        )
+
+    def take(self, rows: FloatArray) -> int:
+        """Append rows (m, columns), each related to those before it; returns how many were new.
+
+        The others come from a place heard from often enough, and are counted with their vehicle.
+        """
+        kept = self._relate(rows, refuse=True)
+        for link, new in zip(rows[:, _LINK].astype(int).tolist(), kept.tolist(), strict=True):
+            if new:
+                self.counts[link].taken += 1
+            else:
+                self.counts[link].redundant += 1
+        return int(kept.sum())
+
+    def _relate(self, rows: FloatArray, refuse: bool) -> Any:
+        settings, before, more = self._settings, self.count, rows.shape[0]
+        rows = rows.copy()
+        every = np.concatenate([self._rows, rows])
+        gap2 = np.square(rows[:, None, :3] - every[None, :, :3]).sum(axis=2)
+        same = rows[:, _LINK, None] == every[:, _LINK]
+        earlier = np.arange(before + more) < before + np.arange(more)[:, None]
+        kept = np.ones(before + more, dtype=bool)
+        near = same & earlier & (gap2 < settings.place_radius_m**2)
+        if refuse and near.sum(axis=1).max() >= settings.windows_per_place:
+            for number in range(more):
+                kept[before + number] = (near[number] & kept).sum() < settings.windows_per_place
+        usable = earlier & kept & np.isfinite(every[:, _RSS])
+        gap2 += _TIE_M2 * np.arange(before + more)
+        parents = np.concatenate(
+            [
+                _nearest(np.where(usable & same, gap2, np.inf), settings.parents),
+                _nearest(np.where(usable & ~same, gap2, np.inf), self._foreign),
+            ],
+            axis=1,
+        )
+        place = np.cumsum(kept) - 1
+        parents = np.where(parents >= 0, place[parents], -1)
+        told = same & earlier & kept & np.isfinite(every[:, _AZ])
+        gap = np.sqrt(np.where(told, gap2, np.inf).min(axis=1))
+        rows[:, _FRESH] = np.maximum(-np.expm1(-2.0 * gap / settings.correlation_m), _LEAST_FRESH)
+        rows[:, _SHARP] = np.maximum(-np.expm1(-2.0 * gap / settings.angle_correlation_m), _LEAST_FRESH)
+        new = kept[before:]
+        self._rows = np.concatenate([self._rows, rows[new]])
+        self._parents = np.concatenate([self._parents, parents[new]])
+        return new
+
+    def observations(self) -> Observations:
+        """All windows, as the likelihood wants them."""
+        return observations_of(self._rows, self._parents)
+
+    def widen(self, rows: Any, variance_db2: FloatArray) -> None:
+        """Outliers: add to the white variance of the powers of ``rows``."""
+        self._rows[rows, _WHITE] += variance_db2
+        for link in self._rows[rows, _LINK].astype(int).tolist():
+            self.counts[link].outliers += 1
+
+    def forget(self) -> int:
+        """When it is full, drop every second window of each vehicle's older two thirds."""
+        if self.count <= self._settings.maximum_windows:
+            return 0
+        dropped = []
+        for link in range(len(self.vehicles)):
+            mine = np.flatnonzero(self._rows[:, _LINK] == link)
+            dropped.append(mine[: 2 * mine.size // 3][1::2])
+        drop = np.concatenate(dropped)
+        if not drop.size:
+            drop = np.arange(self.count - self._settings.maximum_windows)
+        keep = np.ones(self.count, dtype=bool)
+        keep[drop] = False
+        self._relate_all(self._rows[keep])
+        return int(drop.size)
+
+    def absorb(self, other: History) -> int:
+        """Take in another's windows in order of their times; returns how many were forgotten."""
+        for vehicle in other.vehicles:
+            if vehicle not in self.vehicles:
+                self.vehicles.append(vehicle)
+                self.counts.append(Counts())
+        where = [self.vehicles.index(vehicle) for vehicle in other.vehicles]
+        for link, theirs in zip(where, other.counts, strict=True):
+            mine = self.counts[link]
+            mine.taken += theirs.taken
+            mine.redundant += theirs.redundant
+            mine.outliers += theirs.outliers
+        rows = other._rows.copy()
+        if rows.size:
+            rows[:, _LINK] = np.array(where, dtype=np.float64)[rows[:, _LINK].astype(int)]
+        rows = np.concatenate([self._rows, rows])
+        self._relate_all(rows[np.argsort(rows[:, _TIME], kind="stable")])
+        forgotten = step = self.forget()
+        while step:
+            step = self.forget()
+            forgotten += step
+        return forgotten
+
+    def _relate_all(self, rows: FloatArray) -> None:
+        """Make ``rows`` the whole history, each related to those before it."""
+        self._rows = np.zeros((0, _COLUMNS))
+        self._parents = np.zeros((0, self._width), dtype=np.int64)
+        if rows.size:
+            self._relate(rows, refuse=False)
+
+    def state(self) -> dict[str, Any]:
+        """Everything, as arrays and plain values."""
+        return {
+            "vehicles": list(self.vehicles),
+            "counts": [
+                [vehicle, count.taken, count.redundant, count.outliers]
+                for vehicle, count in zip(self.vehicles, self.counts, strict=True)
+            ],
+            "rows": self._rows.copy(),
+            "parents": self._parents.copy(),
+        }
+
+    def restore(self, tree: dict[str, Any]) -> bool:
+        """Take back what ``state`` gave. False: it was kept with other settings, and is related anew."""
+        self.vehicles = [int(vehicle) for vehicle in tree["vehicles"]]
+        kept = {int(vehicle): counts for vehicle, *counts in tree.get("counts", [])}
+        self.counts = [
+            Counts(*(int(value) for value in kept.get(vehicle, (0, 0, 0)))) for vehicle in self.vehicles
+        ]
+        parents = np.array(tree["parents"], dtype=np.int64)
+        count = parents.shape[0]
+        rows = np.array(tree["rows"], dtype=np.float64).reshape(count, -1 if count else _COLUMNS)
+        if count and (parents.shape[1] != self._width or rows.shape[1] != _COLUMNS):
+            # The windows are evidence still, their relations are not; older ones have fewer columns.
+            self._relate_all(np.pad(rows, ((0, 0), (0, _COLUMNS - rows.shape[1]))))
+            return False
+        self._rows, self._parents = rows, parents.reshape(count, self._width)
+        return True
+
+
+def observations_of(rows: FloatArray, parents: Any) -> Observations:
+    """Rows (n, columns) as ``History.row`` gives them, conditioned on ``parents`` (n, m)."""
+    return Observations(
+        rows[:, :3],
+        rows[:, _LINK].astype(np.int64),
+        rows[:, _RSS],
+        rows[:, _LOS],
+        rows[:, _WHITE],
+        rows[:, _AZ],
+        rows[:, _EL],
+        rows[:, _AZ_STD : _EL_STD + 1] / np.sqrt(rows[:, _SHARP, None]),
+        rows[:, _ANGLE_P],
+        rows[:, _FRESH],
+        parents,
+    )
+
+
+def _nearest(distance: FloatArray, count: int) -> Any:
+    """(m, count) columns of the smallest of each row, in order; −1 where there is none but ∞."""
+    if count == 0:
+        return np.zeros((distance.shape[0], 0), dtype=np.int64)
+    if distance.shape[1] > count:
+        few = np.argpartition(distance, count - 1, axis=1)[:, :count]
+    else:
+        few = np.tile(np.arange(distance.shape[1]), (distance.shape[0], 1))
+    value = np.take_along_axis(distance, few, axis=1)
+    order = np.argsort(value, axis=1, kind="stable")
+    few, value = np.take_along_axis(few, order, axis=1), np.take_along_axis(value, order, axis=1)
+    found = np.where(np.isfinite(value), few, -1)
+    return np.pad(found, ((0, 0), (0, count - found.shape[1])), constant_values=-1)

@@ -1,0 +1,380 @@
+"""A person who walks: particles of place and speed, everything else in closed form.
+
+Exists because one place for all windows is wrong for somebody on foot, and forgetting old
+windows for everybody would cost the still person, who is the rule. Rules: walking is weighed
+against standing still by how well each foretells the next windows, both scored alike; a walk
+begins where the still belief is at that moment; nothing is drawn but from a generator keyed
+by the beacon and counted by the step.
+
+Rao–Blackwellised (Doucet et al., 2000): a particle holds place, velocity and exponents; transmit
+power and the vehicles' offsets are Gaussian given these, with a covariance that is the same for
+all, so that one Kalman gain serves all; the vehicles' constant errors of bearing are followed as
+``bearings`` does at the still belief's boxes. Velocity is an Ornstein–Uhlenbeck process on each axis,
+a = exp(−Δ/τ), cut at 1.5 m/s:
+
+    v(t + Δ) = a v(t) + √(1 − a²) σ ξ
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from groundstation.localization.bearings import Bearings
+from groundstation.localization.mesh import Mesh
+from groundstation.localization.problem import FloatArray, SearchArea, SignalModel
+from groundstation.tracking.belief import Belief
+from groundstation.tracking.history import History, TrackObservation
+from groundstation.tracking.settings import TrackingSettings
+from groundstation.tracking.walking_points import Points, drawn, grown_covariance, losses_db, systematic
+from groundstation.tracking.walking_windows import Related, Windows, newest, related
+
+_DEGREES = 20.0
+"""Of the Student-t that a window is scored with: one window does not decide who walks."""
+_NOISE_DEGREES = 12.0
+"""How firmly the model's noise level is believed."""
+_SCATTER_ROWS = 400
+_OFFSET_MEMORY_S = 120.0
+_EXPONENT_DRIFT = 0.02
+"""Random walk of an exponent, per √s: the rubble round a walker changes."""
+_CLIMB_M = 0.3
+"""Random walk of the height, m per √s."""
+_KERNEL_M = 1.0
+"""Half the width of the box that a particle stands for."""
+_PACE_MPS = 0.8
+_MOMENT_S = 0.5
+"""Bearings are met with the person where he was, to so many seconds."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scored:
+    """What windows say of points."""
+
+    log_density: FloatArray
+    """(N,) of the windows, given the past."""
+    points: Points
+    """After them."""
+    covariance: FloatArray
+    """(1 + V, 1 + V) after them."""
+    misfit: FloatArray
+    """(r,) least squared innovation at any point, in variances."""
+    typical: FloatArray
+    """(r,) the points' median of it."""
+
+
+class Walk:
+    """See the module."""
+
+    def __init__(
+        self, area: SearchArea, model: SignalModel, settings: TrackingSettings, seed: int = 0
+    ) -> None:
+        self._area, self._model, self._settings, self._seed = area, model, settings, seed
+        self._numbers = History(model, settings)
+        self._past = Windows(np.zeros((0, 1)), np.zeros(0))
+        self._steps = 0
+        self._points = Points.none(0, model)
+        self._covariance: FloatArray = np.eye(1)
+        self._still = Points.none(0, model)
+        self._still_weight: FloatArray = np.zeros(0)
+        self._still_covariance: FloatArray = np.eye(1)
+        self._drawn_s = -math.inf
+        self._scatter = (0.0, 0.0)
+        """Sum of squared innovations in variances, of the better of the two, and their number."""
+        self.time_s: float | None = None
+        """Station time of the last step; None: no window yet."""
+        self.probability = 0.0
+        """P(walking)."""
+
+    @property
+    def possible(self) -> bool:
+        """Whether anybody may walk at all."""
+        return self._settings.walking_prior > 0.0 or self._settings.walking_rate_per_s > 0.0
+
+    @property
+    def due_s(self) -> float:
+        """When the next step is due, station seconds: sooner where walking is suspected."""
+        settings = self._settings
+        suspected = self.probability > settings.walking_suspected
+        wait_s = settings.walking_interval_s if suspected else settings.walking_watch_interval_s
+        return -math.inf if self.time_s is None else self.time_s + wait_s
+
+    @property
+    def vehicles(self) -> tuple[int, ...]:
+        """Vehicles heard from, in order of their first window."""
+        return tuple(self._numbers.vehicles)
+
+    @property
+    def points(self) -> Points:
+        """The walker's particles, equally likely."""
+        return self._points
+
+    def step(self, windows: list[TrackObservation], belief: Belief) -> None:
+        """Take in the windows since the last step; ``belief`` has taken them in already.
+
+        What it had said before them was drawn then.
+        """
+        new = Windows.of(windows, self._numbers)
+        if new.count == 0 or not self.possible:
+            return
+        # Two seconds hardly change what is heard: one window a vehicle says nearly as much as all.
+        new = newest(new, len(self._numbers.vehicles))
+        links = len(self._numbers.vehicles)
+        rng = np.random.Generator(np.random.Philox(key=[self._seed % 2**64, self._steps]))
+        self._steps += 1
+        now_s = float(new.time_s.max())
+        if self.time_s is not None:
+            now_s = max(now_s, self.time_s)
+            self._advance(new, now_s - self.time_s, links, rng)
+        self.time_s = now_s
+        self._past = newest(self._past.then(new), links)
+        if now_s - self._drawn_s >= self._settings.walking_redraw_s:
+            # Between draws the places are weighed by the windows, as the walker's are.
+            self.draw(belief, rng)
+
+    def draw(self, belief: Belief, rng: np.random.Generator | None = None) -> None:
+        """Take the still belief as it is now for what stillness foretells from here on."""
+        if rng is None:
+            rng = np.random.Generator(np.random.Philox(key=[self._seed % 2**64, self._steps]))
+            self._steps += 1
+        count = self._settings.walking_points
+        place = self._past.observations().position_enu_m
+        vehicles = self._numbers.vehicles
+        self._still, self._still_covariance = drawn(belief, self._model, vehicles, place, count, rng)
+        self._still = self._still.settled()
+        self._still_weight = np.full(count, 1.0 / count)
+        self._drawn_s = -math.inf if self.time_s is None else self.time_s
+
+    def set_area(self, area: SearchArea, belief: Belief) -> None:
+        """Take another search area: whoever is outside it is not there; with nobody left, nobody walks."""
+        self._area = area
+        inside = np.flatnonzero(area.contains(self._points.position_enu_m[0], self._points.position_enu_m[1]))
+        if inside.size:
+            chosen = inside[np.arange(self._points.count) % inside.size]
+            self._points = self._points.take(chosen)
+            height = self._points.position_enu_m[2]
+            np.clip(height, area.height_min_m, area.height_max_m, out=height)
+        else:
+            self.forget()
+        if self.time_s is not None:
+            self.draw(belief)
+
+    def forget(self) -> None:
+        """Nobody walks."""
+        self._points, self.probability = Points.none(len(self._numbers.vehicles), self._model), 0.0
+
+    def _advance(self, new: Windows, elapsed_s: float, links: int, rng: np.random.Generator) -> None:
+        settings, model = self._settings, self._model
+        still = self._still.grown(links, model)
+        self._still_covariance = grown_covariance(self._still_covariance, links)
+        first = self._points.count == 0
+        if first and (elapsed_s <= 0.0 or links < settings.walking_vehicles):
+            share = 0.0
+        elif first:
+            self._covariance, share = self._still_covariance, settings.walking_prior
+        else:
+            share = -math.expm1(-elapsed_s * settings.walking_rate_per_s)
+        self._covariance = grown_covariance(self._covariance, links)
+        standing_log, walking_log = math.log(max(1.0 - self.probability, 1e-300)), -math.inf
+        points, weight = self._points.grown(links, model), np.zeros(0)
+        if share > 0.0:
+            # Whoever starts to walk now starts where the still belief is.
+            births = settings.walking_particles if first else settings.walking_births
+            born = self._sent_off(still.take(systematic(self._still_weight, births, rng)), rng)
+            starting = (1.0 - self.probability) * share
+            points = self._moved(Points.joined(points, born), elapsed_s, rng)
+            points = self._drifted(points, elapsed_s)
+            old = self._points.count
+            weight = np.concatenate(
+                [np.full(old, self.probability / max(old, 1)), np.full(births, starting / births)]
+            )
+            standing_log += math.log1p(-share)
+        moving, standing = self._scored_both(points, still, new, links, elapsed_s)
+        staying = self._still_weight * np.exp(standing.log_density - standing.log_density.max())
+        better = standing.typical if moving is None else np.minimum(standing.typical, moving.typical)
+        keep = 1.0 if self._scatter[1] < _SCATTER_ROWS else 0.5
+        self._scatter = keep * self._scatter[0] + float(better.sum()), keep * self._scatter[1] + better.size
+        standing_log += float(np.log(staying.sum()) + standing.log_density.max())
+        self._still, self._still_covariance = standing.points.settled(), standing.covariance
+        self._still_weight = staying / staying.sum()
+        if moving is None:
+            return
+        top = float(moving.log_density.max())
+        weight *= np.exp(moving.log_density - top)
+        walking_log = math.log(max(float(weight.sum()), 1e-300)) + top
+        self.probability = 1.0 / (1.0 + math.exp(min(standing_log - walking_log, 700.0)))
+        self._covariance = moving.covariance
+        self._points = moving.points.take(systematic(weight, settings.walking_particles, rng)).settled()
+
+    def power(self) -> tuple[float, float]:
+        """Mean (dBm) and standard deviation (dB) of the transmit power, were the person walking."""
+        model, each = self._model, self._points.nuisance[0]
+        spread = model.transmit_power_std_db * math.sqrt(float(each.var()) + float(self._covariance[0, 0]))
+        return model.transmit_power_mean_dbm + model.transmit_power_std_db * float(each.mean()), spread
+
+    def state(self) -> dict[str, Any]:
+        """Everything, as arrays and plain values; ``restore`` continues bit for bit."""
+        return {
+            "vehicles": list(self._numbers.vehicles),
+            "past_rows": self._past.rows.copy(),
+            "past_time_s": self._past.time_s.copy(),
+            "steps": self._steps,
+            "points": self._points.state(),
+            "covariance": self._covariance.copy(),
+            "still": self._still.state(),
+            "still_weight": self._still_weight.copy(),
+            "still_covariance": self._still_covariance.copy(),
+            "drawn_s": None if math.isinf(self._drawn_s) else self._drawn_s,
+            "time_s": self.time_s,
+            "probability": self.probability,
+            "scatter": list(self._scatter),
+        }
+
+    def restore(self, tree: dict[str, Any]) -> None:
+        """Go on from what ``state`` gave."""
+        self._numbers = History(self._model, self._settings)
+        self._numbers.vehicles = [int(vehicle) for vehicle in tree["vehicles"]]
+        times = np.array(tree["past_time_s"], dtype=np.float64)
+        self._past = Windows(np.array(tree["past_rows"], dtype=np.float64).reshape(times.size, -1), times)
+        self._steps = int(tree["steps"])
+        self._points, self._still = Points.restore(tree["points"]), Points.restore(tree["still"])
+        self._covariance = np.array(tree["covariance"], dtype=np.float64)
+        self._still_weight = np.array(tree["still_weight"], dtype=np.float64)
+        self._still_covariance = np.array(tree["still_covariance"], dtype=np.float64)
+        self._drawn_s = -math.inf if tree["drawn_s"] is None else float(tree["drawn_s"])
+        self.time_s = None if tree["time_s"] is None else float(tree["time_s"])
+        self.probability = float(tree["probability"])
+        self._scatter = float(tree["scatter"][0]), float(tree["scatter"][1])
+
+    def _sent_off(self, points: Points, rng: np.random.Generator) -> Points:
+        std = self._settings.walking_speed_std_mps
+        return replace(points, velocity_mps=self._slowed(std * rng.standard_normal((2, points.count))))
+
+    def _slowed(self, velocity_mps: FloatArray) -> FloatArray:
+        limit = self._settings.walking_speed_max_mps
+        slowed: FloatArray = velocity_mps * (limit / np.maximum(np.hypot(*velocity_mps), limit))
+        return slowed
+
+    def _moved(self, points: Points, elapsed_s: float, rng: np.random.Generator) -> Points:
+        settings, model = self._settings, self._model
+        keep = math.exp(-elapsed_s / settings.walking_memory_s)
+        kick = settings.walking_speed_std_mps * math.sqrt(1.0 - keep * keep)
+        before = points.velocity_mps
+        velocity = self._slowed(keep * before + kick * rng.standard_normal(before.shape))
+        place = points.position_enu_m.copy()
+        place[:2] += 0.5 * elapsed_s * (before + velocity)
+        # At the area's edge one turns back.
+        outside = ~self._area.contains(place[0], place[1])
+        place[:, outside] = points.position_enu_m[:, outside]
+        velocity[:, outside] *= -1.0
+        # Over rubble one walks up and down.
+        place[2] += _CLIMB_M * math.sqrt(elapsed_s) * rng.standard_normal(points.count)
+        place[2] = np.clip(place[2], self._area.height_min_m, self._area.height_max_m)
+        orders = points.orders.copy()
+        orders[1] += _EXPONENT_DRIFT * math.sqrt(elapsed_s) * rng.standard_normal(points.count)
+        np.clip(orders[1], model.nlos_exponent_min, model.nlos_exponent_max, out=orders[1])
+        return replace(points, position_enu_m=place, velocity_mps=velocity, orders=orders)
+
+    def _drifted(self, points: Points, elapsed_s: float) -> Points:
+        """Offsets slowly return to their prior: what stands in the way changes as one walks."""
+        keep = math.exp(-elapsed_s / _OFFSET_MEMORY_S)
+        factor = np.full(self._covariance.shape[0], keep)
+        factor[0] = 1.0
+        self._covariance = self._covariance * factor * factor[:, None]
+        offsets = np.arange(1, factor.size)
+        self._covariance[offsets, offsets] += 1.0 - keep * keep
+        return replace(points, nuisance=points.nuisance * factor[:, None])
+
+    def _scored_both(
+        self, walkers: Points, still: Points, new: Windows, links: int, elapsed_s: float
+    ) -> tuple[Scored | None, Scored]:
+        moving = None
+        for last in (False, True):
+            # The same rows for both, or the one that is told to expect less would seem to foretell more.
+            rows = related(self._past, new, links, _PACE_MPS, self._model, self._settings)
+            standing = self._scored(still, self._still_covariance, rows, 0.0)
+            misfit, scale = standing.misfit, rows.whitened.scale
+            if walkers.count:
+                moving = self._scored(walkers, self._covariance, rows, elapsed_s)
+                misfit = np.minimum(misfit, moving.misfit)
+            far = misfit > self._settings.outlier_std**2
+            if last or not far.any():
+                break
+            # What neither can explain is an outlier: its noise is widened (Huber's weight).
+            excess = misfit[far] / self._settings.outlier_std**2
+            new = new.widened(rows.whitened.rows[far] - rows.first, scale[far] ** 2 * (excess**2 - 1.0))
+        return moving, standing
+
+    def _scored(self, points: Points, covariance: FloatArray, rows: Related, elapsed_s: float) -> Scored:
+        new = np.arange(rows.first, rows.every.count)
+        # A window of a moment ago was heard from where the person was then.
+        late_s = np.minimum(rows.late_s, elapsed_s)
+        offset = points.position_enu_m[:, None] - rows.every.position_enu_m[new].T[:, :, None]
+        offset[:2] -= late_s[:, None] * points.velocity_mps[:, None]
+        loss = losses_db(offset, self._model.has_antenna_null)
+        points, angles = self._bearings_met(points, rows, late_s)
+        loss = np.concatenate([points.past_db[:, : rows.first], loss], axis=1)
+        past_db = points.past_db.copy()
+        past_db[:, rows.every.link[new]] = loss[:, rows.first :]
+        points = replace(points, past_db=past_db)
+        white = rows.whitened
+        if not white.rows.size:
+            return Scored(angles, points, covariance, np.zeros(0), np.zeros(0))
+        p = rows.every.los_probability[rows.family]
+        error = white.level[:, None] - white.loading @ points.nuisance
+        for order, mixing, kind in ((0, p, 0), (1, 1.0 - p, 0), (2, np.ones_like(p), 1)):
+            if mixing.any() and points.orders[order].any():
+                regressor = np.einsum("rm,rmn->rn", white.mixing * mixing, loss[kind][rows.family])
+                error += points.orders[order] * regressor
+        toward = covariance @ white.loading.T
+        factor = np.linalg.cholesky(np.eye(white.rows.size) + white.loading @ toward)
+        error = np.linalg.solve(factor, error)
+        square = np.square(error)
+        # Where the powers scatter more than the model says, they decide less between the two.
+        noise = max((_NOISE_DEGREES + self._scatter[0]) / (_NOISE_DEGREES + self._scatter[1]), 1.0)
+        density = -0.5 * (_DEGREES + 1.0) * np.log1p(square / (noise * _DEGREES)).sum(axis=0)
+        density -= float(np.log(np.diag(factor)).sum() + np.log(white.scale).sum())
+        gain = np.linalg.solve(factor, toward.T)
+        return Scored(
+            density + angles,
+            replace(points, nuisance=points.nuisance + gain.T @ error),
+            covariance - gain.T @ gain,
+            square.min(axis=1),
+            np.median(square, axis=1),
+        )
+
+    def _bearings_met(self, points: Points, rows: Related, late_s: FloatArray) -> tuple[Points, FloatArray]:
+        """The points after the new bearings, and these bearings' log density (N,)."""
+        told = np.flatnonzero(np.isfinite(rows.every.azimuth_rad[rows.first :]))
+        if not told.size:
+            return points, np.zeros(points.count)
+        share = points.share_log - _log_sum(points.share_log)
+        errors = Bearings(points.bias_rad.copy(), points.bias_rad2.copy())
+        moment = np.round(late_s[told] / _MOMENT_S)
+        half = np.full((points.count, 2), _KERNEL_M)
+        for each in np.unique(moment)[::-1]:
+            chosen = rows.first + told[moment == each]
+            place = points.position_enu_m.copy()
+            place[:2] -= each * _MOMENT_S * points.velocity_mps
+            mesh = Mesh(place.T, half, np.zeros(points.count))
+            errors.add(_only(rows.every, chosen), 0, mesh, self._model, share)
+        density = _log_sum(share)
+        return replace(
+            points, share_log=share - density, bias_rad=errors.mean, bias_rad2=errors.variance
+        ), density
+
+
+def _only(observations: Any, chosen: Any) -> Any:
+    """The bearings of the ``chosen`` rows."""
+    names = ("position_enu_m", "link", "rss_dbm", "los_probability", "white_variance_db2", "azimuth_rad",
+             "elevation_rad", "angle_std_rad", "angle_probability", "angle_weight", "parents")  # fmt: skip
+    return replace(observations, **{name: getattr(observations, name)[chosen] for name in names})
+
+
+def _log_sum(score: FloatArray) -> FloatArray:
+    """Log of the sum of exponentials over the first axis."""
+    top = score.max(axis=0)
+    result: FloatArray = top + np.log(np.exp(score - top).sum(axis=0))
+    return result

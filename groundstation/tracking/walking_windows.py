@@ -1,0 +1,133 @@
+"""Windows as a filter over time takes them: each conditioned on the newest ones before it.
+
+Exists because a walker's filter, unlike the still belief, cannot go back to old windows: the
+person was elsewhere then. Rule: same rows and same whitening as the still belief's (``history``,
+``regression.whiten``), with the newest window of each vehicle as the only past.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from groundstation.localization.problem import FloatArray, SignalModel
+from groundstation.localization.regression import Observations, Whitened, whiten
+from groundstation.tracking.history import WHITE, History, TrackObservation, observations_of
+from groundstation.tracking.settings import TrackingSettings
+
+_FOREIGN = 2
+
+
+@dataclass(slots=True, eq=False)
+class Windows:
+    """n windows in order, as rows of numbers (``History.row``)."""
+
+    rows: FloatArray
+    """(n, columns)"""
+    time_s: FloatArray
+    """(n,) end of each, station seconds."""
+
+    @property
+    def count(self) -> int:
+        """n."""
+        return int(self.time_s.size)
+
+    @classmethod
+    def of(cls, windows: list[TrackObservation], history: History) -> Windows:
+        """Of those that tell anything; ``history`` numbers the vehicles and is not added to."""
+        rows = [(history.row(window), window.time_s) for window in windows]
+        table = [row for row, _ in rows if row is not None]
+        return cls(
+            np.array(table) if table else np.zeros((0, 1)),
+            np.array([time_s for row, time_s in rows if row is not None], dtype=np.float64),
+        )
+
+    def take(self, chosen: Any) -> Windows:
+        """The windows that ``chosen`` selects."""
+        return Windows(self.rows[chosen], self.time_s[chosen])
+
+    def then(self, new: Windows) -> Windows:
+        """These and, after them, ``new``."""
+        if not self.count:
+            return new
+        return Windows(np.concatenate([self.rows, new.rows]), np.concatenate([self.time_s, new.time_s]))
+
+    def widened(self, chosen: Any, variance_db2: FloatArray) -> Windows:
+        """With more white noise on the power of the ``chosen`` ones."""
+        rows = self.rows.copy()
+        rows[chosen, WHITE] += variance_db2
+        return Windows(rows, self.time_s)
+
+    def observations(self) -> Observations:
+        """As the likelihood wants them; none related to another."""
+        return observations_of(self.rows, np.full((self.count, 0), -1, dtype=np.int64))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Related:
+    """New windows and those that they are conditioned on."""
+
+    every: Observations
+    """Past and new windows, one after the other."""
+    first: int
+    """Number of the first new one."""
+    whitened: Whitened
+    """Of the new ones with power."""
+    family: Any
+    """(r, 1 + m) numbers in ``every``: the row itself and its parents (0 with no weight: none)."""
+    late_s: FloatArray
+    """(new,) how long before the newest each ended."""
+
+
+def related(
+    past: Windows, new: Windows, links: int, pace_mps: float, model: SignalModel, settings: TrackingSettings
+) -> Related:
+    """Condition ``new`` on ``past``, the newest window of each vehicle, and on each other.
+
+    ``pace_mps`` makes time count as distance: shadowing changes with the person's steps too.
+    """
+    every, first = past.then(new), past.count
+    plain = every.observations()
+    newest_s = float(every.time_s.max())
+    place = np.column_stack([plain.position_enu_m, pace_mps * (every.time_s - newest_s)])
+    own = np.arange(first, every.count)
+    number = np.arange(every.count)
+    before = number < own[:, None]
+    same = plain.link == plain.link[own, None]
+    usable = before & np.isfinite(plain.rss_dbm)
+    gap2 = np.square(place[own, None] - place).sum(axis=-1)
+    parents = np.where(usable & same, number, -1).max(axis=1, keepdims=True)
+    if model.shared_shadowing > 0.0 and links > 1:
+        away = np.where(usable & ~same, gap2, np.inf)
+        near = np.argsort(away, axis=1, kind="stable")[:, :_FOREIGN]
+        near = np.where(np.isfinite(np.take_along_axis(away, near, axis=1)), near, -1)
+        parents = np.concatenate([parents, near], axis=1)
+    table = np.full((every.count, parents.shape[1]), -1, dtype=np.int64)
+    table[first:] = parents
+    # Whether a bearing is genuine is news as far as the way is another than that of the last one.
+    told = before & same & np.isfinite(plain.azimuth_rad)
+    gap = np.sqrt(np.where(told, gap2, np.inf).min(axis=1, initial=np.inf))
+    weight = plain.angle_weight.copy()
+    weight[first:] = np.maximum(-np.expm1(-2.0 * gap / settings.correlation_m), 0.02)
+    full = replace(plain, position_enu_m=place, parents=table, angle_weight=weight)
+    rows = whiten(full, first, links, settings.correlation_m, model)
+    chosen = table[rows.rows]
+    family = np.concatenate([rows.rows[:, None], np.where(chosen >= 0, chosen, 0)], axis=1)
+    return Related(
+        replace(full, position_enu_m=plain.position_enu_m),
+        first,
+        rows,
+        family,
+        newest_s - every.time_s[first:],
+    )
+
+
+def newest(windows: Windows, links: int) -> Windows:
+    """The newest window of each vehicle with power, or else with a bearing; in order of the vehicles."""
+    plain = windows.observations()
+    number = np.arange(windows.count) + windows.count * np.isfinite(plain.rss_dbm)
+    best = np.full(links, -1, dtype=np.int64)
+    np.maximum.at(best, plain.link, number)
+    return windows.take(best[best >= 0] % windows.count)
