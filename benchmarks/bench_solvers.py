@@ -1,9 +1,9 @@
-"""WLS-Taylor, posterior and tracker: cost beside each other, in one run.
+"""WLS-Taylor and posterior: cost beside each other, in one run.
 
 Claims: WLS-Taylor gains from batches; one snapshot of the posterior costs no more than ten WLS-Taylor,
-whatever the links are; the tracker stays below a core for 20 vehicles and 50 beacons (extrapolated
-from 3). Times are CPU time, least of the repeats, through ``locate`` and ``locate_batch``, without
-covariances that a method does not have. Errors beside the limits: ``sim-sitl study``.
+whatever the links are. Times are CPU time, least of the repeats, through ``locate`` and ``locate_batch``,
+without covariances that a method does not have. Errors beside the limits: ``sim-sitl study``; the tracker's
+cost: ``bench_tracking.py``.
 
     OMP_NUM_THREADS=1 python benchmarks/bench_solvers.py [--repeats 7] [--seed 1] [--out FILE.json]
 """
@@ -23,14 +23,12 @@ import numpy as np
 import scipy
 
 from groundstation.localization import (
-    SERVICE_MODEL,
     Links,
     SearchArea,
     SignalModel,
     locate,
     locate_batch,
 )
-from groundstation.tracking import Belief, TrackingSettings, TrackObservation
 
 MODEL = SignalModel()
 AREA = SearchArea(np.zeros(2), 100.0, 1.0, 20.0)
@@ -113,47 +111,6 @@ def snapshots(seed: int, repeats: int) -> dict[str, Any]:
     return table
 
 
-def tracker(seed: int, los: bool, vehicles: int = 20, beacons: int = 3, seconds: int = 40) -> dict[str, Any]:
-    """CPU of the service's belief: a window a vehicle and beacon every two seconds, one update a second.
-
-    Bearings of obstructed links point anywhere, as real arrays' do.
-    """
-    rng = np.random.default_rng(seed)
-    area = SearchArea(np.zeros(2), 150.0, 0.0, 20.0)
-    truths = rng.uniform(-80, 80, (beacons, 3)) * [1, 1, 0] + [0, 0, 5]
-    beliefs = [Belief(area, SERVICE_MODEL, TrackingSettings()) for _ in truths]
-    spent, slowest = 0.0, 0.0
-    for second in range(seconds):
-        turn = 2 * np.pi * np.arange(vehicles) / vehicles + 0.08 * second
-        places = np.stack([100 * np.cos(turn), 100 * np.sin(turn), np.full(vehicles, 50.0)], axis=1)
-        for belief, truth in zip(beliefs, truths, strict=True):
-            offset = truth - places
-            rss = 15 - 27 * np.log10(np.linalg.norm(offset, axis=1)) + 5 * rng.standard_normal(vehicles)
-            azimuth = np.arctan2(offset[:, 1], offset[:, 0]) + 0.017 * rng.standard_normal(vehicles)
-            elevation = np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1]))
-            if not los:
-                azimuth, elevation = rng.uniform(-np.pi, np.pi, vehicles), rng.uniform(-1.4, 0.1, vehicles)
-            batch = [
-                TrackObservation(
-                    v, tuple(places[v]), float(rss[v]), None, float(azimuth[v]), float(elevation[v]),
-                    None, None, 0.9 if los else 0.1,
-                )
-                for v in range(vehicles)
-                if (v + second) % 2 == 0
-            ]  # fmt: skip
-            began = time.process_time()
-            belief.update(batch)
-            took = time.process_time() - began
-            spent, slowest = spent + took, max(slowest, took)
-    return {
-        "vehicles": vehicles,
-        "beacons": beacons,
-        "ms_a_beacon_update": round(1e3 * spent / seconds / beacons, 2),
-        "slowest_update_ms": round(1e3 * slowest, 1),
-        "core_share_of_50_beacons": round(50 * spent / seconds / beacons, 3),
-    }
-
-
 def main() -> None:
     """Run all and write JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -170,10 +127,6 @@ def main() -> None:
         },
         "seed": options.seed,
         "snapshot": snapshots(options.seed, options.repeats),
-        "tracker": {
-            "line of sight": tracker(options.seed, True),
-            "obstructed": tracker(options.seed, False),
-        },
     }
     text = json.dumps(report, indent=2, ensure_ascii=False)
     print(text)

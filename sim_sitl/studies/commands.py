@@ -37,8 +37,18 @@ STUDIES: dict[str, Study] = {study.name: study for study in (TABLE4, *FIGURES, H
 OWN_KIND: dict[str, str] = {
     "table3": "the channel classifiers",
     "bandwidth": "how much of a channel response is worth sending",
+    "measured": "what a file of few measured logs teaches, beside trees",
+    "tracking": "the tracker over flights, beside the exact Bayes filter",
 }
-"""Studies of other kinds: each a module here of that name with ``run(options, progress)``."""
+"""Studies of other kinds: each a module or package here of that name with ``run(options, progress)``."""
+ROWS = ("table3", "bandwidth")
+"""Those whose trials are rows of data."""
+TRIALS = 5000
+"""Unless told otherwise, as the paper …"""
+TRIALS_OF: dict[str, int] = {"measured": 10, "tracking": 300}
+"""… but of these."""
+WITH_CASES = "tracking"
+"""The study whose cases can be chosen."""
 ALL = "all"
 """Every study of ``STUDIES``; the cases that they share are computed once."""
 NAMES = (*OWN_KIND, *STUDIES, ALL)
@@ -53,7 +63,8 @@ class StudyOptions:
     name: str
     """One of ``NAMES``."""
     trials: int
-    """Of each case; rows of data for ``OWN_KIND``."""
+    """Of each case; rows of data for ``table3`` and ``bandwidth``, runs of each case for ``tracking``,
+    ways to deal the folds for ``measured``."""
     seed: int
     """Of everything that is drawn."""
     out: Path
@@ -64,11 +75,17 @@ class StudyOptions:
     """URL of a Dask scheduler instead of local processes."""
     methods: tuple[str, ...] = ()
     """Only these; none: all of the study."""
+    cases: tuple[str, ...] = ()
+    """Only these (``tracking``); none: all of the study."""
+    data: Path | None = None
+    """The file that ``measured`` is of."""
 
     @property
     def command(self) -> str:
         """The command line that gives the same figures."""
         only = ["--methods", ",".join(self.methods)] if self.methods else []
+        only += ["--case", ",".join(self.cases)] if self.cases else []
+        only += ["--data", self.data.name] if self.data else []
         asked = ["--trials", str(self.trials), "--seed", str(self.seed), "--out", str(self.out), *only]
         return shlex.join(["sim-sitl", "study", self.name, *asked])
 
@@ -96,6 +113,10 @@ def run_study(options: StudyOptions, progress: ProgressReport | None = None) -> 
         raise UsageError(f"--jobs {options.jobs}; needed: 1 or more")
     if options.jobs is not None and options.scheduler is not None:
         raise UsageError("--jobs does not go with --scheduler: the cluster's workers do the work")
+    if options.cases and options.name != WITH_CASES:
+        raise UsageError(f"--case goes with {WITH_CASES} only; {options.name} has sections of its own")
+    if options.data is not None and options.name != "measured":
+        raise UsageError(f"--data goes with measured only; {options.name} makes its own data")
     if options.name in OWN_KIND:
         return _own_kind(options.name)(options, progress)
     studies = _chosen(options)

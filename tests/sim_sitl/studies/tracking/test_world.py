@@ -1,0 +1,119 @@
+"""The tracking study's runs: what they are drawn from, and that nothing else decides them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim_sitl.studies.tracking.cases import CASES, LOS, MIXED, NLOS
+from sim_sitl.studies.tracking.paths import Path, Shape
+from sim_sitl.studies.tracking.world import Labels, draw_run
+
+TIME_S = np.arange(121.0)
+TARGET = np.array([30.0, -45.0, 8.0])
+
+
+@pytest.mark.parametrize("shape", list(Shape))
+def test_vehicles_keep_speed_and_height(shape: Shape) -> None:
+    fine_s = np.arange(0.0, 120.0, 0.01)
+    places = Path(shape).positions(fine_s, TARGET)
+    speed = np.linalg.norm(np.diff(places, axis=0), axis=-1) / 0.01
+    np.testing.assert_allclose(speed, 8.0, rtol=1e-3)
+    assert (places[..., 2] == 50.0).all()
+    start = places[0, :, :2]
+    np.testing.assert_allclose(np.hypot(*start.T), 100.0)
+    np.testing.assert_allclose(start.sum(axis=0), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("shape", "center"), [(Shape.CONTRACTING, (0.0, 0.0)), (Shape.ORACLE, (30.0, -45.0))]
+)
+def test_spirals_end_close_to_their_centre(shape: Shape, center: tuple[float, float]) -> None:
+    places = Path(shape).positions(TIME_S, TARGET)
+    np.testing.assert_allclose(np.hypot(*(places[-1, :, :2] - center).T), 20.0)
+
+
+def test_an_orbit_stays_on_its_circle_and_knows_no_target() -> None:
+    places = Path(Shape.ORBIT).positions(TIME_S, TARGET)
+    np.testing.assert_allclose(np.hypot(*np.moveaxis(places[..., :2], -1, 0)), 100.0)
+    np.testing.assert_array_equal(places, Path(Shape.ORBIT).positions(TIME_S, -TARGET))
+
+
+def test_cases_that_differ_in_what_is_told_have_the_same_runs() -> None:
+    base, other = CASES["nlos-orbit"], CASES["wrong-sigma-high"]
+    assert other.told.model.nlos_rss_std_db == pytest.approx(1.5 * base.told.model.nlos_rss_std_db)
+    runs = [draw_run(case.world, case.path, TIME_S[:5], 4, 2) for case in (base, other)]
+    np.testing.assert_array_equal(runs[0].rss_dbm, runs[1].rss_dbm)
+    soft, ruined = CASES["mixed-soft"], CASES["wrong-ruined"]
+    labelled = draw_run(soft.world, soft.path, TIME_S[:5], 4, 2)
+    plain = draw_run(MIXED, soft.path, TIME_S[:5], 4, 2)
+    np.testing.assert_array_equal(labelled.azimuth_rad, plain.azimuth_rad)
+    assert (labelled.los_probability != plain.los_probability).all()
+    spoilt = draw_run(ruined.world, ruined.path, TIME_S, 4, 2)
+    clean = draw_run(NLOS, ruined.path, TIME_S, 4, 2)
+    off = np.abs(spoilt.rss_dbm - clean.rss_dbm)
+    assert set(off.round(6).ravel()) == {0.0, 20.0}
+    assert 0.06 < (off > 1.0).mean() < 0.14
+
+
+def test_runs_differ_by_number_and_seed() -> None:
+    path = Path(Shape.ORBIT)
+    truths = {tuple(draw_run(NLOS, path, TIME_S[:1], seed, n).truth_enu_m) for seed in (1, 2) for n in (0, 1)}
+    assert len(truths) == 4
+
+
+def test_power_is_that_of_the_equations() -> None:
+    quiet = replace(
+        MIXED, shadowing_db=0.0, power_dbm=(15.0, 15.0), nlos_exponent=(3.0, 3.0), bias_max_db=0.0
+    )
+    run = draw_run(quiet, Path(Shape.ORBIT), TIME_S, 1, 0)
+    distance = np.linalg.norm(run.truth_enu_m - run.position_enu_m, axis=-1)
+    exponent = np.array([2.5, 3.0, 3.0, 3.0])
+    np.testing.assert_allclose(run.rss_dbm, 15.0 - 10.0 * exponent * np.log10(distance))
+    biased = draw_run(replace(quiet, bias_max_db=8.0), Path(Shape.ORBIT), TIME_S, 1, 0)
+    loss = run.rss_dbm - biased.rss_dbm
+    assert (loss[:, 0] == 0.0).all()
+    np.testing.assert_allclose(loss, np.broadcast_to(loss[:1], loss.shape), atol=1e-9)
+    assert (loss[0, 1:] > 0.0).all()
+    assert (loss[0, 1:] < 8.0).all()
+
+
+def test_shadowing_is_correlated_along_a_flight_and_each_vehicles_own() -> None:
+    path = Path(Shape.ORBIT)
+    quiet = replace(NLOS, power_dbm=(15.0, 15.0), nlos_exponent=(3.0, 3.0), bias_max_db=0.0)
+    near, far = [], []
+    for number in range(60):
+        run = draw_run(quiet, path, TIME_S[:30], 5, number)
+        distance = np.linalg.norm(run.truth_enu_m - run.position_enu_m, axis=-1)
+        shadow = run.rss_dbm - 15.0 + 30.0 * np.log10(distance)
+        near += [shadow[1:] * shadow[:-1]]
+        far += [shadow[:, :-1] * shadow[:, 1:]]
+    assert np.mean(near) / 25.0 == pytest.approx(np.exp(-8.0 / 25.0), abs=0.09)
+    assert np.mean(far) / 25.0 == pytest.approx(0.0, abs=0.09)
+
+
+def test_angles_have_a_white_and_a_constant_error() -> None:
+    white, between = [], []
+    for number in range(40):
+        run = draw_run(LOS, Path(Shape.ORBIT), TIME_S, 3, number)
+        offset = run.truth_enu_m - run.position_enu_m
+        error = run.azimuth_rad - np.arctan2(offset[..., 1], offset[..., 0])
+        error = np.degrees(np.remainder(error + np.pi, 2.0 * np.pi) - np.pi)
+        white.append(error.std(axis=0))
+        between.append(error.mean(axis=0))
+    assert np.mean(white) == pytest.approx(1.0, abs=0.03)
+    assert np.std(between) == pytest.approx(1.0, abs=0.15)
+
+
+def test_soft_labels_are_calibrated_and_wrong_ones_are_wrong() -> None:
+    rng = np.random.default_rng(1)
+    states = (rng.random(40_000) < 0.25).astype(float)
+    soft = Labels("soft").probabilities(states, rng)
+    for low, high in ((0.05, 0.2), (0.4, 0.6), (0.8, 0.95)):
+        inside = (soft > low) & (soft < high)
+        assert states[inside].mean() == pytest.approx(soft[inside].mean(), abs=0.04)
+    wrong = Labels("wrong").probabilities(states, rng)
+    assert ((wrong > 0.5) != (states > 0.5)).mean() == pytest.approx(0.2, abs=0.01)
+    assert set(wrong.round(6)) == {0.05, 0.95}
