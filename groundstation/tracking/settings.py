@@ -12,7 +12,7 @@ class TrackingSettings:
 
     correlation_m: float = 25.0
     """Distance over which shadowing forgets itself, metres (Gudmundson: 10–50)."""
-    parents: int = 3
+    parents: int = 8
     """Earlier windows of the same vehicle that a window is conditioned on."""
     foreign_parents: int = 3
     """Earlier windows of other vehicles that it is conditioned on as well."""
