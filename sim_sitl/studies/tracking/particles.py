@@ -8,7 +8,8 @@ what the tracker is told; a window's power is weighed given the vehicle's last o
 correlation along the flight, first order), for a filter that takes windows as independent is far too sure.
 
 Tuning (10 runs, of those that seed 1 scores): more than 4,000 particles bring nothing on obstructed links,
-and of a = 0.995, 0.98, 0.95, 0.9 the last scores best there; with a line of sight 0.95 beat 0.98, 0.9 was not tried.
+and of a = 0.995, 0.98, 0.95, 0.9 the last scores best there; with a line of sight 0.95 beat 0.98 and
+0.9 was not tried.
 """
 
 from __future__ import annotations
