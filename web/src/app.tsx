@@ -14,6 +14,7 @@ import { Links } from "./panels/links";
 import { Proposals } from "./panels/proposals";
 import { Status } from "./panels/status";
 import { Vehicles } from "./panels/vehicles";
+import { useRemembered } from "./remembered";
 import type { Store } from "./store";
 import type { ThemeName } from "./themes/palette";
 
@@ -35,18 +36,16 @@ type Tab = (typeof TABS)[number];
 const NOTICE_MS = 8_000;
 let notices = 0;
 
-const storedTheme = (): ThemeName => (localStorage.getItem("theme") === "dark" ? "dark" : "light");
-
 export function App({ store, connection, fetched, subscribe }: Props) {
   const [, setFrame] = useState(0);
-  const [theme, setTheme] = useState<ThemeName>(storedTheme);
+  const [theme, setTheme] = useRemembered<ThemeName>("theme", ["light", "dark"]);
   const [tab, setTab] = useState<Tab>("Vehicles");
   /** The newest event that was on the screen: errors after it are counted on the tab. */
   const [seen, setSeen] = useState({ epoch: "", number: 0 });
   const [selected, setSelected] = useState("");
   const [shown, setShown] = useState<Notice[]>([]);
   const [spacing_m, setSpacing] = useState(0);
-  const [searchMap, setSearchMap] = useState(() => localStorage.getItem("search-map") === "shown");
+  const [searchMap, setSearchMap] = useRemembered("search-map", ["hidden", "shown"]);
   const container = useRef<HTMLDivElement>(null);
   const view = useRef<MapView | null>(null);
 
@@ -64,14 +63,12 @@ export function App({ store, connection, fetched, subscribe }: Props) {
   }, []);
   useEffect(() => {
     document.documentElement.dataset["theme"] = theme;
-    localStorage.setItem("theme", theme);
     view.current?.setTheme(theme);
   }, [theme]);
 
   useEffect(() => view.current?.setSelected(selected), [selected]);
   useEffect(() => {
-    localStorage.setItem("search-map", searchMap ? "shown" : "hidden");
-    view.current?.setSearchMap(searchMap);
+    view.current?.setSearchMap(searchMap === "shown");
   }, [searchMap]);
   useEffect(() => fetched.forget(), [store.epoch]);
 
@@ -111,7 +108,7 @@ export function App({ store, connection, fetched, subscribe }: Props) {
         <div class="left">
           <div class="map-frame">
             <div class="map" ref={container} data-testid="map" role="application" aria-label="Map of vehicles and beacons; the same is in the tables" />
-            <Legend context={context} spacing_m={spacing_m} view={view.current} searchMap={searchMap} setSearchMap={setSearchMap} />
+            <Legend context={context} spacing_m={spacing_m} view={view.current} searchMap={searchMap === "shown"} setSearchMap={(shown) => setSearchMap(shown ? "shown" : "hidden")} />
             <div class="notices" aria-live="assertive">
               {shown.map((notice) => (
                 <div key={notice.id} class={`notice ${notice.ok ? "" : "bad"}`} role={notice.ok ? "status" : "alert"} data-testid="notice">
