@@ -7,7 +7,7 @@ the mean; both count a box's own extent, so they never shrink under the grid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -22,6 +22,8 @@ EnRing = tuple[tuple[float, float], ...]
 _SUBPOINTS = 4
 _RASTER = 64
 _SMOOTHING_CELLS = 1.0
+_OF_UNIFORM = 12.0**-0.5
+"""Standard deviation of a uniform distribution, in its widths."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +71,21 @@ class Raster:
 
 
 def raster(mesh: Mesh, mass: FloatArray, cells: int = _RASTER) -> Raster:
-    """Horizontal belief over the part of the area that holds all but a thousandth of it."""
+    """Horizontal belief over the part of the area that holds all but a thousandth of it, box by box."""
+    return _laid_out(mesh, mass, cells, smooth=False)
+
+
+def smooth_raster(mesh: Mesh, mass: FloatArray, cells: int = _RASTER) -> Raster:
+    """The raster that regions and search maps are read off: without the boxes' edges.
+
+    The edges are the mesh's, not the belief's: a belief hardly wider than a box would end where the
+    box does. Each is smoothed over its own width, as far as a uniform box spreads (width / √12),
+    which is what interpolating between the centres of boxes does, and over a square at least.
+    """
+    return _laid_out(mesh, mass, cells, smooth=True)
+
+
+def _laid_out(mesh: Mesh, mass: FloatArray, cells: int, smooth: bool) -> Raster:
     order = np.argsort(-mass, kind="stable")
     count = int(np.searchsorted(np.cumsum(mass[order]), 0.999)) + 1
     used = order[:count]
@@ -78,7 +94,7 @@ def raster(mesh: Mesh, mass: FloatArray, cells: int = _RASTER) -> Raster:
     cell = float((high - low).max()) / cells
     low = 0.5 * (low + high) - 0.5 * cells * cell
     # Every box is laid out in enough points to fill the squares that it covers.
-    values = np.zeros(cells * cells)
+    values = np.zeros((cells, cells))
     width = 2.0 * half[:, 0]
     level = np.ceil(np.log2(np.maximum(width / cell, 1.0))).astype(int) + 1
     for exponent in np.unique(level):
@@ -91,15 +107,12 @@ def raster(mesh: Mesh, mass: FloatArray, cells: int = _RASTER) -> Raster:
         row = np.clip(((north - low[1]) / cell).astype(int), 0, cells - 1)
         index = (row[:, :, None] * cells + column[:, None, :]).ravel()
         share = np.repeat(mass[used][here] / points**2, points**2)
-        values += np.bincount(index, weights=share, minlength=cells * cells)
-    return Raster(float(low[0]), float(low[1]), cell, values.reshape(cells, cells))
-
-
-def smooth_raster(mesh: Mesh, mass: FloatArray) -> Raster:
-    """The raster that regions and search maps are read off."""
-    picture = raster(mesh, mass)
-    # The boxes' edges are the mesh's, not the belief's: smooth over one square.
-    return replace(picture, mass=gaussian_filter(picture.mass, _SMOOTHING_CELLS, mode="constant"))
+        part = np.bincount(index, weights=share, minlength=cells * cells).reshape(cells, cells)
+        if smooth:
+            spread = float(mass[used][here] @ width[here] / mass[used][here].sum()) * _OF_UNIFORM / cell
+            part = gaussian_filter(part, max(spread, _SMOOTHING_CELLS), mode="constant")
+        values += part
+    return Raster(float(low[0]), float(low[1]), cell, values)
 
 
 def region_rings(

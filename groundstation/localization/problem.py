@@ -22,6 +22,7 @@ from shapely.geometry.base import BaseGeometry
 
 from groundstation.domain.errors import InputError
 from groundstation.domain.target import Environment
+from groundstation.localization.ground import GroundHeights
 
 if TYPE_CHECKING:
     from groundstation.localization.posterior import PosteriorAnswer
@@ -111,54 +112,6 @@ class Links:
     def as_batch(self) -> Links:
         """A single problem as a batch of one."""
         return self.subset(None)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GroundHeights:
-    """Heights of the ground at the nodes of a regular grid, linear between them; its edge goes on outside."""
-
-    west_m: float
-    """East coordinate of the first column, metres."""
-    south_m: float
-    """North coordinate of the first row, metres."""
-    step_m: float
-    """Distance of neighbouring nodes, metres."""
-    up_m: FloatArray
-    """(rows from the south, columns from the west) height of the ground in the ENU frame, metres."""
-    known: BoolArray
-    """Of the same shape: whether somebody measured it; False: it is taken for the ground's height."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "up_m", _floats(self.up_m))
-        object.__setattr__(self, "known", np.asarray(self.known, dtype=bool))
-        if self.up_m.ndim != 2 or min(self.up_m.shape) < 2 or self.known.shape != self.up_m.shape:
-            raise InputError(
-                f"ground heights have shape {self.up_m.shape}, known ones {self.known.shape};"
-                " the same two by two or more are needed"
-            )
-        if not (np.isfinite(self.up_m).all() and math.isfinite(self.step_m) and self.step_m > 0.0):
-            raise InputError("ground heights must be finite, their nodes a positive distance apart")
-
-    def at(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """Height of the ground under places, metres ENU."""
-        rows, columns = self.up_m.shape
-        x = np.clip((np.asarray(east_m) - self.west_m) / self.step_m, 0.0, columns - 1.0)
-        y = np.clip((np.asarray(north_m) - self.south_m) / self.step_m, 0.0, rows - 1.0)
-        column = np.minimum(x.astype(np.int64), columns - 2)
-        row = np.minimum(y.astype(np.int64), rows - 2)
-        x, y = x - column, y - row
-        up = self.up_m
-        result: FloatArray = (1.0 - y) * ((1.0 - x) * up[row, column] + x * up[row, column + 1]) + y * (
-            (1.0 - x) * up[row + 1, column] + x * up[row + 1, column + 1]
-        )
-        return result
-
-    def is_known(self, east_m: float, north_m: float) -> bool:
-        """Whether the ground under a place was measured, by the node nearest to it."""
-        rows, columns = self.up_m.shape
-        column = round((east_m - self.west_m) / self.step_m)
-        row = round((north_m - self.south_m) / self.step_m)
-        return 0 <= column < columns and 0 <= row < rows and bool(self.known[row, column])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -308,6 +261,9 @@ class SignalModel:
     """Lowest NLOS path-loss exponent of the prior."""
     nlos_exponent_max: float = 3.5
     """Highest NLOS path-loss exponent of the prior."""
+    nlos_exponent_doubt: float = 0.0
+    """How far β_NLOS may lie beyond these limits after all: there its density falls by e for each such
+    step of ln β; 0: not at all (tracker only)."""
     shared_shadowing: float = 0.0
     """Share of the shadowing's variance that all vehicles meet alike at one place, 0 to 1 (tracker only)."""
     nlos_bias_max_db: float = 7.0

@@ -36,6 +36,8 @@ _MIDDLES = (np.arange(_NODES)[:, None] + 0.5).astype(np.float64)
 _REACH = 3.2
 """Nodes over β_NLOS reach to so many standard deviations: 1.3 apart, where the midpoint rule errs by 1e-5."""
 _STEEP = 1.5
+_DOUBTS = 4.0
+"""β_NLOS is followed beyond its limits until its prior has fallen by e⁻⁴."""
 _LEAST_CURVE = 1e-9
 
 
@@ -145,13 +147,6 @@ class Evidence:
             nothing if deep is None else deep,
         )
 
-    @staticmethod
-    def path_rows(
-        observations: Observations, rows: Whitened, candidates: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Whitened 10 log₁₀ d of each row at each candidate, for LOS and NLOS: two (r, C)."""
-        return Evidence.loss_rows(observations, rows, candidates)[:2]
-
     def state(self) -> dict[str, Any]:
         """As arrays and plain values."""
         result = {}
@@ -199,15 +194,16 @@ class Evidence:
         β_NLOS, uniform, a few nodes are laid at each candidate where its likelihood there is: a
         long flight knows it better than any fixed grid over 1.5 to 8.
 
-        ``noise_degrees`` None: the model's noise level is right. Else it is itself unknown,
-        inverse-gamma round the model's with so many degrees of freedom, and integrated out
-        (a multivariate Student-t): residuals larger than expected widen the belief.
+        ``noise_degrees`` None: the model's noise level is right. Else it may be higher, see
+        ``_log_density``: residuals larger than expected widen the belief.
         """
         prior = exponents.model
         constant, slope, curve, log_spread, _ = self._of_nlos_exponent(prior, slice(None))
         nodes, width = self._nlos_nodes(constant, slope, curve, prior, noise_degrees)
         form = constant + nodes * (2.0 * slope + nodes * curve)
         score = _log_density(form, self.count, noise_degrees)
+        if prior.nlos_exponent_doubt > 0.0:
+            score = score + _log_prior_of_nlos_exponent(nodes, prior)
         return _log_sum(score) + np.log(width) - log_spread + self._log_of_angles()
 
     def _of_nlos_exponent(
@@ -258,13 +254,14 @@ class Evidence:
         noise_degrees: float | None,
     ) -> tuple[FloatArray, FloatArray]:
         """(M, C) midpoints over where β_NLOS is likely within its limits, and how far apart they are."""
-        low, high = prior.nlos_exponent_min, prior.nlos_exponent_max
+        beyond = math.exp(_DOUBTS * prior.nlos_exponent_doubt)
+        low, high = prior.nlos_exponent_min / beyond, prior.nlos_exponent_max * beyond
         if high <= low:
             return np.full((1, slope.size), low), np.ones(slope.size)
         best = -slope / curve
         variance = 1.0 / curve
         if noise_degrees is not None:
-            least = np.maximum(constant + slope * best, 0.0)
+            least = np.maximum(constant + slope * best, self.count)
             variance = variance * (noise_degrees + least) / (noise_degrees + self.count)
         std = np.sqrt(variance)
         inside = np.clip(best, low, high)
@@ -285,22 +282,10 @@ class Evidence:
             prior, slice(candidate, candidate + 1)
         )
         nodes, _ = self._nlos_nodes(constant, slope, curve, prior, None)
-        score = -0.5 * nodes * (2.0 * slope + nodes * curve)
+        score = _log_prior_of_nlos_exponent(nodes, prior) - 0.5 * nodes * (2.0 * slope + nodes * curve)
         weight = np.exp(score - score.max())
         mean = float((weight * nodes).sum() / weight.sum())
         return float(los[0][0] + los[1][0] * mean), mean, float(null[0][0] + null[1][0] * mean)
-
-    def exponents_at(self, candidate: int, exponents: ExponentGrid) -> tuple[FloatArray, float, float]:
-        """Posterior (Q,) over the grid's nodes at one candidate, and its mean β_LOS and β_NLOS."""
-        constant, cross, square = self._reduced(slice(candidate, candidate + 1))
-        c, s = cross[:, 0], square[:, 0]
-        form = constant + 2.0 * (exponents.los * c[0] + exponents.nlos * c[1])
-        form += exponents.los**2 * s[0] + 2.0 * exponents.los * exponents.nlos * s[1]
-        form += exponents.nlos**2 * s[2]
-        score = exponents.log_prior - 0.5 * form
-        mass = np.exp(score - score.max())
-        mass /= mass.sum()
-        return mass, float(mass @ exponents.los), float(mass @ exponents.nlos)
 
     def orders_drawn(self, candidates: Any, exponents: ExponentGrid, uniform: FloatArray) -> FloatArray:
         """(3, n) β_LOS, β_NLOS and null's order drawn from their posterior at n candidates.
@@ -310,6 +295,7 @@ class Evidence:
         _, slope, curve, _, (los, null) = (parts := self._of_nlos_exponent(exponents.model, candidates))
         nodes, width = self._nlos_nodes(parts[0], slope, curve, exponents.model, None)
         score = -0.5 * nodes * (2.0 * slope + nodes * curve)
+        score += _log_prior_of_nlos_exponent(nodes, exponents.model)
         reached = np.cumsum(np.exp(score - score.max(axis=0)), axis=0)
         node = np.argmax(reached >= uniform[0] * reached[-1], axis=0)
         nlos = nodes[node, np.arange(node.size)]
@@ -359,10 +345,29 @@ def _regressors(
 
 
 def _log_density(form: FloatArray, count: int, noise_degrees: float | None) -> FloatArray:
-    """Log of the Gaussian, or of the Student-t, of a quadratic form of ``count`` rows."""
+    """Log density of a quadratic form of ``count`` rows, up to a constant.
+
+    Gaussian where the noise is the model's (``noise_degrees`` None). Else the noise may be higher by a
+    factor s² ≥ 1, inverse-gamma with so many degrees of freedom, taken at its best value: Gaussian
+    up to the form to be expected, a Student-t's tail beyond. Never lower: residuals too small show that
+    shadowing is smoother than thought, not that there is less of it.
+    """
     if noise_degrees is None:
         return -0.5 * form
-    result: FloatArray = -0.5 * (noise_degrees + count) * np.log1p(np.maximum(form, 0.0) / noise_degrees)
+    beyond = np.maximum(form - count, 0.0)
+    result: FloatArray = -0.5 * np.minimum(form, count) - 0.5 * (noise_degrees + count) * np.log1p(
+        beyond / (noise_degrees + count)
+    )
+    return result
+
+
+def _log_prior_of_nlos_exponent(exponent: FloatArray, prior: SignalModel) -> FloatArray:
+    """Log density, up to a constant: even within the limits, beyond them falling with ln β."""
+    if prior.nlos_exponent_doubt <= 0.0:
+        return np.zeros_like(exponent)
+    below = np.log(np.maximum(prior.nlos_exponent_min / exponent, 1.0))
+    above = np.log(np.maximum(exponent / prior.nlos_exponent_max, 1.0))
+    result: FloatArray = -(below + above) / prior.nlos_exponent_doubt
     return result
 
 

@@ -2,9 +2,10 @@
 
 Exists because shadowing is correlated: passing twice over the same ground, with the same vehicle
 or another, teaches little, and this model knows. Every observation is conditioned on the few
-earlier ones that it resembles most (Vecchia, 1988), wherever along the flights they lie. Rule: none
-of the covariances depends on the candidate, so one whitening serves all; the mixture of a link's
-two states enters by its first two moments.
+earlier ones that together foretell most of it (Vecchia, 1988; chosen by ``informative_parents``),
+wherever along the flights and of whatever vehicle. Rule: none of the covariances depends on the
+candidate, so one whitening serves all; the mixture of a link's two states enters by its first two
+moments.
 """
 
 from __future__ import annotations
@@ -55,6 +56,14 @@ class Observations:
         return int(self.rss_dbm.size)
 
 
+_POOL = 24
+"""Of so many most alike the parents are chosen."""
+_LEAST_FORETOLD = 1e-4
+"""Share of its variance that a further parent must explain of a row."""
+_TIE = 1e-12
+"""Of two equally alike the earlier one comes first."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitened:
     """Rows of the whitened regression, the same for every candidate position."""
@@ -88,6 +97,75 @@ def _shadowing_covariance(
     return result
 
 
+def _nugget_db2(observations: Observations, model: SignalModel) -> FloatArray:
+    """(n,) variance that no other observation shares: noise, and not knowing the link's state."""
+    p = observations.los_probability
+    total = p * model.rss_std_db**2 + (1.0 - p) * model.nlos_rss_std_db**2
+    shadowing = p**2 * model.rss_std_db**2 + (1.0 - p) ** 2 * model.nlos_rss_std_db**2
+    result: FloatArray = (
+        total
+        - shadowing
+        + mixture_variance_db2(p, model, model.nlos_bias_max_db)
+        + observations.white_variance_db2
+    )
+    return result
+
+
+def informative_parents(
+    observations: Observations,
+    first: int,
+    usable: Any,
+    count: int,
+    correlation_m: float,
+    model: SignalModel,
+) -> Any:
+    """(n − first, count) parents of the rows from ``first`` on, −1 = none: whom to condition each on.
+
+    ``usable`` (n − first, n) bool: who may be a parent of whom. One by one the observation is taken
+    that lessens the variance of what is left most (a pivoted Cholesky factorisation of the most
+    alike): the nearest ones repeat each other, and of a second lap they miss the first.
+    """
+    rows = np.arange(first, observations.count)
+    pool = min(_POOL, observations.count)
+    result = np.full((rows.size, count), -1, dtype=np.int64)
+    if not rows.size or count == 0:
+        return result
+    alike = _shadowing_covariance(
+        observations, rows[:, None], np.arange(observations.count), correlation_m, model
+    )
+    alike = np.where(usable, alike * (1.0 - _TIE * np.arange(observations.count)), 0.0)
+    near = np.sort(np.argpartition(alike, -pool, axis=1)[:, -pool:], axis=1)
+    toward = np.take_along_axis(alike, near, axis=1)
+    among = _shadowing_covariance(observations, near[:, :, None], near[:, None, :], correlation_m, model)
+    nugget = _nugget_db2(observations, model)
+    p = observations.los_probability
+    own = p**2 * model.rss_std_db**2 + (1.0 - p) ** 2 * model.nlos_rss_std_db**2
+    diagonal = np.arange(pool)
+    among[:, diagonal, diagonal] += nugget[near]
+    left = among[:, diagonal, diagonal].copy()
+    free = toward > 0.0
+    least = _LEAST_FORETOLD * (own + nugget)[rows]
+    every = np.arange(rows.size)
+    factors: list[FloatArray] = []
+    for column in range(min(count, pool)):
+        gain = np.where(free, toward * toward / np.maximum(left, 1e-9), 0.0)
+        chosen = gain.argmax(axis=1)
+        found = gain[every, chosen] > least
+        if not found.any():
+            break
+        result[found, column] = near[every, chosen][found]
+        free[every, chosen] = False
+        root = np.sqrt(np.maximum(left[every, chosen], 1e-9))
+        factor = among[every, chosen]
+        for before in factors:
+            factor = factor - before[every, chosen, None] * before
+        factor = factor / root[:, None]
+        toward = toward - factor * (toward[every, chosen] / root)[:, None]
+        left = left - factor * factor
+        factors.append(factor)
+    return result
+
+
 def whiten(
     observations: Observations, first: int, links: int, correlation_m: float, model: SignalModel
 ) -> Whitened:
@@ -98,14 +176,8 @@ def whiten(
     present = parents >= 0
     safe = np.where(present, parents, 0)
     p = observations.los_probability
-    total = p * model.rss_std_db**2 + (1.0 - p) * model.nlos_rss_std_db**2
     shadowing = p**2 * model.rss_std_db**2 + (1.0 - p) ** 2 * model.nlos_rss_std_db**2
-    nugget = (
-        total
-        - shadowing
-        + mixture_variance_db2(p, model, model.nlos_bias_max_db)
-        + observations.white_variance_db2
-    )
+    nugget = _nugget_db2(observations, model)
     among = _shadowing_covariance(observations, safe[:, :, None], safe[:, None, :], correlation_m, model) * (
         present[:, :, None] & present[:, None, :]
     )

@@ -60,6 +60,7 @@ class Belief:
             angle_outlier_probability=settings.angle_outlier_probability,
             los_shares=settings.los_shares,
             angle_bias_std_rad=settings.angle_bias_std_rad,
+            nlos_exponent_doubt=settings.nlos_exponent_doubt,
         )
         self._exponents = ExponentGrid.of(self._model)
         self._has_null = self._model.has_antenna_null

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.localization.problem import FloatArray, SignalModel
-from groundstation.localization.whitening import Observations
+from groundstation.localization.whitening import Observations, informative_parents
 from groundstation.tracking.settings import TrackingSettings
 
 _COLUMNS = 15
@@ -26,8 +26,6 @@ _COLUMNS = 15
 WHITE = _WHITE
 """Column of a row that holds the white variance of its power, dB²."""
 _LEAST_FRESH = 0.02
-_TIE_M2 = 1e-9
-"""Of two windows equally far away the earlier one is the nearer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +65,12 @@ class History:
 
     def __init__(self, model: SignalModel, settings: TrackingSettings) -> None:
         self._model, self._settings = model, settings
-        self._foreign = settings.foreign_parents if model.shared_shadowing > 0.0 else 0
-        self._width = settings.parents + self._foreign
         self.vehicles: list[int] = []
         """Vehicles in order of their first window: their place is their link's number."""
         self.counts: list[Counts] = []
         """Of each of ``vehicles``."""
         self._rows: FloatArray = np.zeros((0, _COLUMNS))
-        self._parents: Any = np.zeros((0, self._width), dtype=np.int64)
+        self._parents: Any = np.zeros((0, self._settings.parents), dtype=np.int64)
 
     @property
     def count(self) -> int:
@@ -141,13 +137,14 @@ class History:
             for number in range(more):
                 kept[before + number] = (near[number] & kept).sum() < settings.windows_per_place
         usable = earlier & kept & np.isfinite(every[:, _RSS])
-        gap2 += _TIE_M2 * np.arange(before + more)
-        parents = np.concatenate(
-            [
-                _nearest(np.where(usable & same, gap2, np.inf), settings.parents),
-                _nearest(np.where(usable & ~same, gap2, np.inf), self._foreign),
-            ],
-            axis=1,
+        nobody = np.full((before + more, 0), -1, dtype=np.int64)
+        parents = informative_parents(
+            observations_of(every, nobody),
+            before,
+            usable,
+            settings.parents,
+            settings.correlation_m,
+            self._model,
         )
         place = np.cumsum(kept) - 1
         parents = np.where(parents >= 0, place[parents], -1)
@@ -212,7 +209,7 @@ class History:
     def _relate_all(self, rows: FloatArray) -> None:
         """Make ``rows`` the whole history, each related to those before it."""
         self._rows = np.zeros((0, _COLUMNS))
-        self._parents = np.zeros((0, self._width), dtype=np.int64)
+        self._parents = np.zeros((0, self._settings.parents), dtype=np.int64)
         if rows.size:
             self._relate(rows, refuse=False)
 
@@ -238,11 +235,13 @@ class History:
         parents = np.array(tree["parents"], dtype=np.int64)
         count = parents.shape[0]
         rows = np.array(tree["rows"], dtype=np.float64).reshape(count, -1 if count else _COLUMNS)
-        if count and (parents.shape[1] != self._width or rows.shape[1] != _COLUMNS):
+        if count and (parents.shape[1] != self._settings.parents or rows.shape[1] != _COLUMNS):
             # The windows are evidence still, their relations are not; older ones have fewer columns.
-            self._relate_all(np.pad(rows, ((0, 0), (0, _COLUMNS - rows.shape[1]))))
+            rows = np.pad(rows, ((0, 0), (0, _COLUMNS - rows.shape[1])))
+            rows[:, _SHARP] = 1.0
+            self._relate_all(rows)
             return False
-        self._rows, self._parents = rows, parents.reshape(count, self._width)
+        self._rows, self._parents = rows, parents.reshape(count, self._settings.parents)
         return True
 
 
@@ -261,18 +260,3 @@ def observations_of(rows: FloatArray, parents: Any) -> Observations:
         rows[:, _FRESH],
         parents,
     )
-
-
-def _nearest(distance: FloatArray, count: int) -> Any:
-    """(m, count) columns of the smallest of each row, in order; −1 where there is none but ∞."""
-    if count == 0:
-        return np.zeros((distance.shape[0], 0), dtype=np.int64)
-    if distance.shape[1] > count:
-        few = np.argpartition(distance, count - 1, axis=1)[:, :count]
-    else:
-        few = np.tile(np.arange(distance.shape[1]), (distance.shape[0], 1))
-    value = np.take_along_axis(distance, few, axis=1)
-    order = np.argsort(value, axis=1, kind="stable")
-    few, value = np.take_along_axis(few, order, axis=1), np.take_along_axis(value, order, axis=1)
-    found = np.where(np.isfinite(value), few, -1)
-    return np.pad(found, ((0, 0), (0, count - found.shape[1])), constant_values=-1)

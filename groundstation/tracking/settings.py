@@ -12,14 +12,14 @@ class TrackingSettings:
 
     correlation_m: float = 25.0
     """Distance over which shadowing forgets itself, metres (Gudmundson: 10–50)."""
-    parents: int = 8
-    """Earlier windows of the same vehicle that a window is conditioned on."""
-    foreign_parents: int = 3
-    """Earlier windows of other vehicles that it is conditioned on as well."""
+    parents: int = 6
+    """Earlier windows that a window is conditioned on: those that together foretell most of it."""
     sample_std_db: float = 2.5
     """Noise of a window's averaged power besides shadowing (fading, quantisation), dB."""
     noise_degrees: float | None = 5.0
-    """How firmly the noise level is believed (degrees of freedom); None: it is taken as given."""
+    """How firmly it is believed that the noise is no higher (degrees of freedom); None: taken as given."""
+    nlos_exponent_doubt: float = 0.15
+    """How far the NLOS exponent may lie beyond the model's limits (e-folding of its prior in ln β)."""
     outlier_std: float = 3.0
     """A window further off than this many standard deviations at every likely place is weighted down."""
     angle_bias_std_rad: float = math.radians(1.0)
@@ -44,7 +44,7 @@ class TrackingSettings:
     """A box with more of the belief than this is split."""
     remesh_mass: float = 0.025
     """The boxes are laid anew when one that can be split holds more than this."""
-    minimum_half_m: float = 0.15
+    minimum_half_m: float = 0.08
     """Half the width of the smallest box, metres."""
     sensitivity_dbm: float | None = None
     """Level from which on the receivers hear, dBm; none: learned from what each one reports."""

@@ -9,7 +9,7 @@ import pytest
 
 from groundstation.localization import SearchArea, SignalModel
 from groundstation.localization.mesh import masses, moments
-from groundstation.tracking import Belief, TrackingSettings, TrackObservation
+from groundstation.tracking import Belief, TrackingSettings, TrackObservation, explanation
 from groundstation.tracking.explanation import LinkExplanation, explain, thinned
 
 TRUTH = np.array([30.0, -20.0, 2.0])
@@ -161,6 +161,43 @@ def test_a_bearing_that_is_turned_shows_on_its_side() -> None:
     assert (links[3].elevation_score or 0.0) < -1.0
     for vehicle in (1, 2, 4):
         assert abs(links[vehicle].azimuth_residual_rad or 9.0) < 0.05
+
+
+def test_residuals_weigh_less_where_the_place_is_not_sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """20 m of doubt in the place are 20 m/d of doubt in a bearing, and 10 β/(d ln 10) dB a metre."""
+    rng = np.random.default_rng(10)
+    windows = [
+        heard(vehicle, second, rng, turned_rad=0.02, lifted_rad=0.02, los=0.9)
+        for second in range(12)
+        for vehicle in (1, 2)
+    ]
+    belief = believed(windows)
+
+    def stds(link: LinkExplanation) -> tuple[float, ...]:
+        told = (
+            (link.power_residual_db, link.power_score),
+            (link.azimuth_residual_rad, link.azimuth_score),
+            (link.elevation_residual_rad, link.elevation_score),
+        )
+        return tuple((residual or math.nan) / (score or math.nan) for residual, score in told)
+
+    def told(std_m: float) -> dict[int, LinkExplanation]:
+        spread = np.eye(3) * std_m**2
+        monkeypatch.setattr(explanation, "moments", lambda mesh, mass: (TRUTH, spread))
+        return by_vehicle(belief)
+
+    sure, unsure = told(0.0), told(20.0)
+    for vehicle, link in unsure.items():
+        assert link.power_residual_db == sure[vehicle].power_residual_db
+        grown = [
+            math.sqrt(after**2 - before**2)
+            for after, before in zip(stds(link), stds(sure[vehicle]), strict=True)
+        ]
+        away = [TRUTH - place_of(vehicle, second) for second in range(12)]
+        flat_m = float(np.mean([np.hypot(vector[0], vector[1]) for vector in away]))
+        slant_m = float(np.mean([np.linalg.norm(vector) for vector in away]))
+        expected = (20.0 * 10.0 * 2.5 / (math.log(10.0) * slant_m), 20.0 / flat_m, 20.0 / slant_m)
+        assert grown == pytest.approx(expected, rel=0.2)
 
 
 def test_a_vehicle_without_power_and_one_that_nobody_judged() -> None:

@@ -10,7 +10,7 @@ from groundstation.tracking import TrackingSettings, TrackObservation
 from groundstation.tracking.history import History
 
 MODEL = SignalModel(shared_shadowing=0.5)
-SETTINGS = TrackingSettings(parents=2, foreign_parents=1)
+SETTINGS = TrackingSettings(parents=3)
 
 
 def window(vehicle: int, east: float, north: float = 0.0, **changed: object) -> TrackObservation:
@@ -25,13 +25,15 @@ def history(*windows: TrackObservation, settings: TrackingSettings = SETTINGS) -
     return made
 
 
-def test_a_window_is_conditioned_on_the_nearest_of_its_own_and_of_others() -> None:
-    made = history(*(window(v, e) for v, e in [(7, 0), (9, 1), (7, 10), (7, 40), (9, 38), (7, 12)]))
+def test_a_window_is_conditioned_on_what_foretells_most_of_it_of_whatever_vehicle() -> None:
+    made = history(*(window(v, e) for v, e in [(7, 0), (9, 1), (7, 10), (7, 40), (9, 39), (7, 12)]))
     assert made.vehicles == [7, 9]
-    # Own: 2 (at 10), then 0 (at 0) before 3 (at 40, 28 m away); of vehicle 9 the one at 1.
-    assert made.observations().parents.tolist()[-1] == [2, 0, 1]
-    assert made.observations().parents.tolist()[0] == [-1, -1, -1]
-    assert made.observations().parents.tolist()[3] == [2, 0, 1]
+    parents = made.observations().parents.tolist()
+    assert parents[0] == [-1, -1, -1]
+    # Vehicle 9 was 1 m away, its field is half the same.
+    assert parents[1] == [0, -1, -1]
+    # The one 2 m away, then the own ones further off, then those of the other vehicle.
+    assert parents[5] == [2, 0, 3]
 
 
 def test_nothing_is_conditioned_on_what_has_no_power() -> None:

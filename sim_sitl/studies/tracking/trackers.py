@@ -12,10 +12,9 @@ from typing import Any, Protocol
 
 import numpy as np
 import shapely
-from scipy.ndimage import gaussian_filter
 
 from groundstation.localization import SearchArea, SignalModel
-from groundstation.localization.containment import Raster, raster, region_rings
+from groundstation.localization.containment import Raster, region_rings, smooth_raster
 from groundstation.localization.mesh import Mesh, moments
 from groundstation.localization.problem import FloatArray
 from groundstation.tracking import Belief, TrackingSettings, TrackObservation
@@ -23,7 +22,6 @@ from sim_sitl.studies.tracking.answers import SHARES, Answers, level_and_areas
 from sim_sitl.studies.tracking.world import Run
 
 _RASTER_CELLS = 96
-_SMOOTHING_CELLS = 1.0
 
 
 class Tracking(Protocol):
@@ -95,7 +93,7 @@ def _read(tracker: Tracking, run: Run, answers: Answers, row: int) -> None:
     mesh, mass = tracker.mesh, tracker.mass
     answers.mean_enu_m[row] = moments(mesh, mass)[0]
     truth = run.truth_enu_m
-    answers.level[row], answers.area_m2[row] = level_of(raster(mesh, mass, _RASTER_CELLS), truth)
+    answers.level[row], answers.area_m2[row] = level_of(smooth_raster(mesh, mass, _RASTER_CELLS), truth)
     point = shapely.Point(truth[:2])
     for column, (_, rings) in enumerate(region_rings(mesh, mass, SHARES)):
         # Even–odd: a ring inside a ring is a hole.
@@ -104,8 +102,7 @@ def _read(tracker: Tracking, run: Run, answers: Answers, row: int) -> None:
 
 
 def level_of(picture: Raster, truth_enu_m: FloatArray) -> tuple[float, FloatArray]:
-    """Credible level of the truth, and the regions' areas (3,), m². The boxes' edges are smoothed over."""
-    smooth = gaussian_filter(picture.mass, _SMOOTHING_CELLS, mode="constant")
+    """Credible level of the truth, and the regions' areas (3,), m²."""
     east = int(np.floor((truth_enu_m[0] - picture.west_m) / picture.cell_m))
     north = int(np.floor((truth_enu_m[1] - picture.south_m) / picture.cell_m))
-    return level_and_areas(smooth, picture.cell_m**2, north, east)
+    return level_and_areas(picture.mass, picture.cell_m**2, north, east)
