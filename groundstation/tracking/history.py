@@ -128,7 +128,7 @@ class History:
         settings, before, more = self._settings, self.count, rows.shape[0]
         rows = rows.copy()
         every = np.concatenate([self._rows, rows])
-        gap2 = np.square(rows[:, None, :3] - every[None, :, :3]).sum(axis=2)
+        gap2 = sum(np.square(rows[:, axis, None] - every[:, axis]) for axis in range(3))
         same = rows[:, _LINK, None] == every[:, _LINK]
         earlier = np.arange(before + more) < before + np.arange(more)[:, None]
         kept = np.ones(before + more, dtype=bool)

@@ -12,7 +12,7 @@ class TrackingSettings:
 
     correlation_m: float = 25.0
     """Distance over which shadowing forgets itself, metres (Gudmundson: 10–50)."""
-    parents: int = 6
+    parents: int = 5
     """Earlier windows that a window is conditioned on: those that together foretell most of it."""
     sample_std_db: float = 2.5
     """Noise of a window's averaged power besides shadowing (fading, quantisation), dB."""
