@@ -36,6 +36,8 @@ class Answers:
     """(R, 3) of the regions of ``SHARES``; NaN: none."""
     drawn: FloatArray
     """(R, 3) 1 where the drawn polygons of the region hold the truth, 0 where not; NaN: none are drawn."""
+    walking: FloatArray
+    """(R,) P(the person walks); NaN: the method does not ask."""
     cpu_s: float = 0.0
     """Processor time of the run."""
 
@@ -44,7 +46,7 @@ class Answers:
         """Nothing yet, for so many times."""
         return cls(
             np.full((times, 3), math.nan), np.full(times, math.nan), np.full((times, len(SHARES)), math.nan),
-            np.full((times, len(SHARES)), math.nan),
+            np.full((times, len(SHARES)), math.nan), np.full(times, math.nan),
         )  # fmt: skip
 
 

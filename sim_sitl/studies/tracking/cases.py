@@ -17,9 +17,12 @@ from groundstation.tracking import TrackingSettings
 from sim_sitl.studies.tracking.paths import Path, Shape
 from sim_sitl.studies.tracking.world import Labels, World
 
-DURATION_S = 120.0
 TIMES_S = (0.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)
 """When answers are taken; a window of each vehicle comes every second, the first at 0."""
+WALKING_TIMES_S = (*TIMES_S, 180.0, 240.0, 300.0)
+"""The same where somebody walks: noticing it takes time."""
+WALKING_M_S = 1.0
+"""Speed of those who walk."""
 FACTOR = 1.5
 """How far off a wrong assumption is."""
 
@@ -99,6 +102,7 @@ SECTIONS: Mapping[str, str] = {
     "mixed": "One vehicle in line of sight, three obstructed",
     "los": "All links in line of sight",
     "snapshot": "One window of each vehicle, no movement",
+    "walking": "Somebody walks",
     "wrong": "What is told is wrong",
 }
 
@@ -124,6 +128,15 @@ _PATHS = {
     Shape.CONTRACTING: "orbits contracting on the area's centre",
     Shape.ORACLE: "spiral round the truth (an oracle)",
 }
+
+
+def _walking(key: str, title: str, world: World) -> Case:
+    moving = replace(world, walking_m_s=WALKING_M_S)
+    return Case(
+        f"{key}-walking", f"{title}, fixed orbit, a walk of {WALKING_M_S:g} m/s", "walking", moving,
+        Path(Shape.ORBIT), told_of(moving), ("tracker", "still", "centre"), WALKING_TIMES_S,
+        note="He keeps a heading for about a minute and turns at the area's edge. Nobody is told.",
+    )  # fmt: skip
 
 
 def _snapshot(key: str, title: str, world: World, limit_m: float) -> Case:
@@ -171,6 +184,8 @@ CASES: dict[str, Case] = {
         _snapshot("los", "LOS, angles 1° white", LOS, 1.88),
         _snapshot("nlos", "NLOS, b_k ≤ 7 dB", replace(NLOS, bias_max_db=7.0), 45.0),
         _snapshot("mixed", "Mixed, b_k ≤ 7 dB, angles 1° white", replace(MIXED, bias_max_db=7.0), 14.1),
+        _walking("nlos", "NLOS", NLOS),
+        _walking("mixed", "Mixed", MIXED),
         _wrong("exponent-high", "exponents told × 1.5: 3 to 5.25", _exponents(FACTOR), {}),
         _wrong("exponent-low", "exponents told / 1.5: 1.33 to 2.33", _exponents(1.0 / FACTOR), {}),
         _wrong("sigma-high", "σ told × 1.5: 7.5 dB", _sigma(FACTOR), {}),

@@ -72,7 +72,7 @@ class Resolution:
 
 
 class ExactFilter:
-    """The exact filter of one run."""
+    """The exact filter of one run, of somebody who stands still."""
 
     def __init__(self, run: Run, world: World, ticks: Any, resolution: Resolution) -> None:
         self._run, self._world, self._ticks, self._resolution = run, world, np.asarray(ticks), resolution
@@ -179,9 +179,11 @@ class ExactFilter:
         """Posterior means and regions at the ticks."""
         began = time.thread_time()
         places = self._on_grid() if not any(self._world.line_of_sight) else self._on_points()
+        count = self._ticks.size
         return Answers(
-            *places, np.full((self._ticks.size, len(SHARES)), math.nan), time.thread_time() - began
-        )
+            *places, np.full((count, len(SHARES)), math.nan), np.full(count, math.nan),
+            time.thread_time() - began,
+        )  # fmt: skip
 
     def _on_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         cell, area = self._resolution.cell_m, self._run.area
@@ -202,7 +204,7 @@ class ExactFilter:
         mass /= mass.sum(axis=1, keepdims=True)
         means = mass @ places
         level, areas = np.empty(len(mass)), np.empty((len(mass), len(SHARES)))
-        where = np.floor(self._run.truth_enu_m[:2] / (cell / _FINER)).astype(int) + half * _FINER
+        where = np.floor(self._run.truth_enu_m[0, :2] / (cell / _FINER)).astype(int) + half * _FINER
         for row, flat in enumerate(mass):
             raster = np.zeros(inside.shape)
             raster[inside] = flat.reshape(height.size, -1).sum(axis=0) / share[inside]
@@ -223,7 +225,7 @@ class ExactFilter:
                 offset = place - mean
                 covariance = (offset.T * weight) @ offset + 1e-6 * np.eye(3)
             means[row] = mean
-            level[row], areas[row] = points_region(place[:, :2], weight, self._run.truth_enu_m[:2])
+            level[row], areas[row] = points_region(place[:, :2], weight, self._run.truth_enu_m[0, :2])
         return means, level, areas
 
     def _weighted(

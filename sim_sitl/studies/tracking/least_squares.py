@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,14 +38,12 @@ def fit(run: Run, ticks: Any, told: Told) -> Answers:
         problem = _Problem(run, int(tick), told)
         mean, covariance = problem.solved()
         answers.mean_enu_m[row] = mean
-        offset = run.truth_enu_m[:2] - mean[:2]
+        offset = run.truth_enu_m[tick, :2] - mean[:2]
         plane = covariance[:2, :2]
         answers.level[row] = float(chdtr(2, offset @ np.linalg.solve(plane, offset)))
         size = math.pi * math.sqrt(max(float(np.linalg.det(plane)), 0.0))
         answers.area_m2[row] = [size * float(chdtri(2, 1.0 - share)) for share in SHARES]
-    return Answers(
-        answers.mean_enu_m, answers.level, answers.area_m2, answers.drawn, time.thread_time() - began
-    )
+    return replace(answers, cpu_s=time.thread_time() - began)
 
 
 class _Problem:

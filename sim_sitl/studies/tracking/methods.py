@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -67,12 +68,10 @@ def _centre(case: Case, run: Run, ticks: Any, seed: int) -> Answers:
     area = run.area
     middle = 0.5 * (area.height_min_m + area.height_max_m)
     answers.mean_enu_m[:] = [*area.center_enu_m[:2], middle]
-    reach = np.hypot(*(run.truth_enu_m[:2] - area.center_enu_m[:2])) / area.radius_m
+    reach = np.hypot(*(run.truth_enu_m[ticks, :2] - area.center_enu_m[:2]).T) / area.radius_m
     answers.level[:] = reach * reach
     answers.area_m2[:] = [math.pi * area.radius_m**2 * share for share in SHARES]
-    return Answers(
-        answers.mean_enu_m, answers.level, answers.area_m2, answers.drawn, time.thread_time() - began
-    )
+    return replace(answers, cpu_s=time.thread_time() - began)
 
 
 METHODS: Mapping[str, tuple[Method, str]] = {

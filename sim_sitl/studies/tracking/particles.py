@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ def track_particles(run: Run, ticks: Any, told: Told, seed: int, count: int = PA
         if tick == ticks[row]:
             answers.mean_enu_m[row] = cloud.weight @ cloud.state[:, :3]
             answers.level[row], answers.area_m2[row] = points_region(
-                cloud.state[:, :2], cloud.weight, run.truth_enu_m[:2]
+                cloud.state[:, :2], cloud.weight, run.truth_enu_m[tick, :2]
             )
             row += 1
         if 1.0 / np.square(cloud.weight).sum() < RESAMPLE_BELOW * count:
@@ -59,9 +60,7 @@ def track_particles(run: Run, ticks: Any, told: Told, seed: int, count: int = PA
             np.random.set_state(before)
             cloud.resample(np.asarray(chosen))
     assert answers.area_m2.shape[1] == len(SHARES)
-    return Answers(
-        answers.mean_enu_m, answers.level, answers.area_m2, answers.drawn, time.thread_time() - began
-    )
+    return replace(answers, cpu_s=time.thread_time() - began)
 
 
 class _Cloud:

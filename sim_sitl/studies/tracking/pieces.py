@@ -53,6 +53,8 @@ class Outcome:
     """(N, R, 3) of the regions."""
     drawn: FloatArray
     """(N, R, 3) whether the drawn polygons hold the truth; NaN: none are drawn."""
+    walking: FloatArray
+    """(N, R) P(the person walks); NaN: not asked."""
     cpu_s: FloatArray
     """(N,) processor time."""
 
@@ -64,12 +66,13 @@ class Outcome:
 
     @classmethod
     def of(cls, truth_enu_m: FloatArray, answers: Sequence[Answers]) -> Outcome:
-        """N runs' answers beside the truth (N, 3)."""
+        """N runs' answers beside the truth (N, R, 3)."""
         return cls(
-            np.stack([answer.mean_enu_m for answer in answers]) - truth_enu_m[:, None],
+            np.stack([answer.mean_enu_m for answer in answers]) - truth_enu_m,
             np.stack([answer.level for answer in answers]),
             np.stack([answer.area_m2 for answer in answers]),
             np.stack([answer.drawn for answer in answers]),
+            np.stack([answer.walking for answer in answers]),
             np.array([answer.cpu_s for answer in answers]),
         )
 
@@ -81,6 +84,7 @@ class Outcome:
             np.concatenate([part.level for part in parts]),
             np.concatenate([part.area_m2 for part in parts]),
             np.concatenate([part.drawn for part in parts]),
+            np.concatenate([part.walking for part in parts]),
             np.concatenate([part.cpu_s for part in parts]),
         )
 
@@ -90,7 +94,7 @@ class CaseResult:
     """All runs of one case."""
 
     truth_enu_m: FloatArray
-    """(N, 3)"""
+    """(N, R, 3)"""
     outcomes: dict[str, Outcome]
     """By method."""
 
@@ -132,7 +136,7 @@ def run_piece(piece: Piece) -> CaseResult:
     truths = []
     for number in range(piece.first, piece.first + piece.count):
         run = draw_run(case.world, case.path, case.window_s, piece.seed, number)
-        truths.append(run.truth_enu_m)
+        truths.append(run.truth_enu_m[ticks])
         own = int(
             np.random.SeedSequence(
                 piece.seed, spawn_key=(case_key(case.name), number, 1)

@@ -17,7 +17,6 @@ from sim_sitl.studies.tracking.pieces import CaseResult
 from sim_sitl.studies.tracking.scores import Score, share_figure
 
 _DPI = 130
-_JUDGED_S = (10.0, 30.0, 60.0, 120.0)
 
 
 @dataclass(frozen=True, slots=True)

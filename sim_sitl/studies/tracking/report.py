@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.store.snapshots import write_atomically
-from sim_sitl.studies.report import interval, number, percent, ratio
+from sim_sitl.studies.report import interval, made_by, number, percent, ratio
 from sim_sitl.studies.results import Provenance
 from sim_sitl.studies.scoring import RESAMPLES, Figure
 from sim_sitl.studies.tables import csv_text
@@ -24,7 +24,7 @@ from sim_sitl.studies.tracking.answers import SHARES
 from sim_sitl.studies.tracking.cases import CASES, SECTIONS, Case
 from sim_sitl.studies.tracking.methods import EXACT, METHODS, OURS
 from sim_sitl.studies.tracking.pieces import CaseResult
-from sim_sitl.studies.tracking.scores import Score
+from sim_sitl.studies.tracking.scores import Score, share_figure
 
 SHOWN_S = (0.0, 10.0, 30.0, 60.0, 120.0)
 """Times in the report's tables; the CSV has all."""
@@ -41,7 +41,7 @@ COLUMNS = (
 )  # fmt: skip
 RUN_COLUMNS = (
     "case", "run", "method", "time_s", "truth_east_m", "truth_north_m", "truth_up_m", "error_east_m",
-    "error_north_m", "error_up_m", "level", "area_90_m2",
+    "error_north_m", "error_up_m", "level", "area_90_m2", "walking_probability",
 )  # fmt: skip
 
 
@@ -102,15 +102,16 @@ def _three(figure: Figure) -> tuple[str, str, str]:
 def _run_rows(found: Found) -> list[list[object]]:
     rows: list[list[object]] = []
     for name, result in found.results.items():
-        for run, truth in enumerate(result.truth_enu_m):
+        for run, way in enumerate(result.truth_enu_m):
             for method, outcome in result.outcomes.items():
                 for at, time_s in enumerate(CASES[name].times_s):
                     rows.append(
                         [
-                            name, run, method, cell(time_s), *(cell(float(x)) for x in truth),
+                            name, run, method, cell(time_s), *(cell(float(x)) for x in way[at]),
                             *(cell(float(x)) for x in outcome.error_enu_m[run, at]),
                             cell(float(outcome.level[run, at])),
                             cell(float(outcome.area_m2[run, at, _NINETY])),
+                            cell(float(outcome.walking[run, at])),
                         ]
                     )  # fmt: skip
     return rows
@@ -144,16 +145,7 @@ def markdown(found: Found) -> str:
             for case in cases:
                 lines += _case(found, case)
     lines += _times(found)
-    versions = ", ".join(f"{name} {version}" for name, version in p.versions.items())
-    lines += [
-        "## Made by",
-        "",
-        f"`{p.command}`",
-        "",
-        f"{p.workers}; {p.wall_s:.0f} s in all. {versions}.",
-        "",
-    ]
-    return "\n".join(lines)
+    return "\n".join([*lines, *made_by(p)])
 
 
 def _in_short(found: Found) -> list[str]:
@@ -224,10 +216,23 @@ def _case(found: Found, case: Case) -> list[str]:
         areas = [found.score(case.name, method, time_s) for time_s in shown]
         cells = ("–" if row is None else f"{row.area_m2[_NINETY]:.0f}" for row in areas)
         lines.append(f"| {_named(method)} | {' | '.join(cells)} |")
-    lines += ["", *_worst(found, case)]
+    lines += ["", *_walkers(found, case, judged), *_worst(found, case)]
     if len(case.times_s) > 1:
         lines += [f"![{case.title}](tracking-{case.name}.png)", ""]
     return lines
+
+
+def _walkers(found: Found, case: Case, judged: Sequence[float]) -> list[str]:
+    """How often the tracker took the person to walk."""
+    outcome = found.results[case.name].outcomes.get(OURS)
+    if outcome is None or (not case.world.walking_m_s and len(case.times_s) == 1):
+        return []
+    told = []
+    for time_s in judged:
+        walking = outcome.walking[:, case.times_s.index(time_s)]
+        told.append(f"{_share(share_figure(float((walking >= 0.5).sum()), walking.size))} at {time_s:g} s")
+    who = f"walks at {case.world.walking_m_s:g} m/s" if case.world.walking_m_s else "stands still"
+    return [f"The person {who}; taken to walk (P ≥ 0.5): {', '.join(told)}.", ""]
 
 
 def _worst(found: Found, case: Case) -> list[str]:
@@ -238,7 +243,7 @@ def _worst(found: Found, case: Case) -> list[str]:
     at = len(case.times_s) - 1
     error = np.sqrt(result.outcomes[OURS].square_m2[:, at])
     run = int(np.argmax(error))
-    truth = result.truth_enu_m[run]
+    truth = result.truth_enu_m[run, at]
     others = ", ".join(
         f"{name} {math.sqrt(float(outcome.square_m2[run, at])):.1f} m"
         for name, outcome in result.outcomes.items()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,7 +18,7 @@ from groundstation.localization import SearchArea, SignalModel
 from groundstation.localization.containment import Raster, region_rings, smooth_raster
 from groundstation.localization.mesh import Mesh, moments
 from groundstation.localization.problem import FloatArray
-from groundstation.tracking import Belief, TrackingSettings, TrackObservation
+from groundstation.tracking import Belief, Tracker, TrackingSettings, TrackObservation
 from sim_sitl.studies.tracking.answers import SHARES, Answers, level_and_areas
 from sim_sitl.studies.tracking.world import Run
 
@@ -84,15 +85,17 @@ def track(run: Run, ticks: Any, make: Make, model: SignalModel, settings: Tracki
         tracker.update(batch)
         spent += time.thread_time() - began
         if tick == ticks[row]:
-            _read(tracker, run, answers, row)
+            _read(tracker, run, tick, answers, row)
             row += 1
-    return Answers(answers.mean_enu_m, answers.level, answers.area_m2, answers.drawn, spent)
+    return replace(answers, cpu_s=spent)
 
 
-def _read(tracker: Tracking, run: Run, answers: Answers, row: int) -> None:
+def _read(tracker: Tracking, run: Run, tick: int, answers: Answers, row: int) -> None:
     mesh, mass = tracker.mesh, tracker.mass
     answers.mean_enu_m[row] = moments(mesh, mass)[0]
-    truth = run.truth_enu_m
+    truth = run.truth_enu_m[tick]
+    if isinstance(tracker, Tracker):
+        answers.walking[row] = tracker.walking_probability
     answers.level[row], answers.area_m2[row] = level_of(smooth_raster(mesh, mass, _RASTER_CELLS), truth)
     point = shapely.Point(truth[:2])
     for column, (_, rings) in enumerate(region_rings(mesh, mass, SHARES)):

@@ -27,6 +27,8 @@ from sim_sitl.studies.scoring import case_key
 from sim_sitl.studies.tracking.paths import Path
 
 TARGET_HEIGHTS_M = (1.0, 20.0)
+HEADING_MEMORY_S = 60.0
+"""How long a walker keeps his heading: the cosine of its change falls by e in that time."""
 _LABEL_SPREAD = 2.66
 """Distance of the two states' scores, in their standard deviations: AUC Φ(2.66/√2) = 0.97."""
 
@@ -82,6 +84,8 @@ class World:
     """Share of windows whose power is far off."""
     ruined_db: float = 20.0
     """How far, up or down."""
+    walking_m_s: float = 0.0
+    """Speed of the person, who keeps a heading for about a minute and stays in the area; 0: stands still."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +105,7 @@ class Run:
     los_probability: FloatArray
     """(T, K) as told."""
     truth_enu_m: FloatArray
-    """(3,) where the target is. Not told."""
+    """(T, 3) where the target is. Not told."""
     area: SearchArea
     """Where it may be. Told."""
 
@@ -109,19 +113,20 @@ class Run:
 def draw_run(world: World, path: Path, time_s: FloatArray, seed: int, number: int) -> Run:
     """Run ``number`` of ``world`` along ``path``, windows at ``time_s`` (T,)."""
     root = np.random.SeedSequence(seed, spawn_key=(case_key(world.name), number))
-    scene, noise, told, *fields = (
-        np.random.default_rng(child) for child in root.spawn(3 + len(world.line_of_sight))
+    scene, noise, told, *fields, steps = (
+        np.random.default_rng(child) for child in root.spawn(4 + len(world.line_of_sight))
     )
     reach, turn = path.radius_m * math.sqrt(scene.random()), 2.0 * math.pi * scene.random()
-    truth = np.array([reach * math.cos(turn), reach * math.sin(turn), scene.uniform(*TARGET_HEIGHTS_M)])
+    start = np.array([reach * math.cos(turn), reach * math.sin(turn), scene.uniform(*TARGET_HEIGHTS_M)])
+    truth = _walked(start, world.walking_m_s, time_s, path.radius_m, steps)
     power_dbm = scene.uniform(*world.power_dbm)
     nlos_exponent = scene.uniform(*world.nlos_exponent)
     bias_db = scene.uniform(0.0, world.bias_max_db, path.vehicles)
     constant_rad = world.angle_constant_rad * scene.standard_normal((2, path.vehicles))
-    places = path.positions(time_s, truth)
+    places = path.positions(time_s, start)
     shape = places.shape[:2]
     los = np.broadcast_to(np.array(world.line_of_sight, dtype=float), shape)
-    offset = truth - places
+    offset = truth[:, None] - places
     distance = np.linalg.norm(offset, axis=-1)
     loss = 10.0 * np.where(los > 0.5, world.los_exponent, nlos_exponent) * np.log10(distance)
     shadowing = np.stack(
@@ -143,6 +148,23 @@ def draw_run(world: World, path: Path, time_s: FloatArray, seed: int, number: in
         time_s, places, rss, np.arctan2(np.sin(azimuth), np.cos(azimuth)), elevation,
         world.labels.probabilities(los, told), truth, area,
     )  # fmt: skip
+
+
+def _walked(
+    start_enu_m: FloatArray, speed_m_s: float, time_s: FloatArray, radius_m: float, rng: np.random.Generator
+) -> FloatArray:
+    """(T, 3) of somebody who walks at one speed and height; at the area's edge he turns to its centre."""
+    place = np.tile(start_enu_m, (time_s.size, 1))
+    heading = rng.uniform(-math.pi, math.pi)
+    turns = rng.standard_normal(time_s.size)
+    for at, step_s in enumerate(np.diff(time_s), start=1):
+        heading += math.sqrt(2.0 * step_s / HEADING_MEMORY_S) * turns[at]
+        stride = speed_m_s * step_s * np.array([math.cos(heading), math.sin(heading)])
+        if np.hypot(*(place[at - 1, :2] + stride)) > radius_m:
+            heading = math.atan2(-place[at - 1, 1], -place[at - 1, 0])
+            stride = speed_m_s * step_s * np.array([math.cos(heading), math.sin(heading)])
+        place[at, :2] = place[at - 1, :2] + stride
+    return place
 
 
 def _along(field: ShadowingField, places_enu_m: FloatArray) -> FloatArray:

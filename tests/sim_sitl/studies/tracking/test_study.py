@@ -148,9 +148,9 @@ def test_scores_count_every_run() -> None:
     error[:, 0, 2] = [4.0, 3.0, 0.0, 5.0]
     nothing = np.full((4, 1, 3), np.nan)
     level = np.array([[0.2], [0.6], [0.93], [0.99]])
-    ours = Outcome(error, level, np.ones((4, 1, 3)), np.ones((4, 1, 3)), np.ones(4))
-    exact = Outcome(0.5 * error, level, np.ones((4, 1, 3)), nothing, np.ones(4))
-    result = CaseResult(np.zeros((4, 3)), {"tracker": ours, "exact": exact})
+    ours = Outcome(error, level, np.ones((4, 1, 3)), np.ones((4, 1, 3)), np.ones((4, 1)), np.ones(4))
+    exact = Outcome(0.5 * error, level, np.ones((4, 1, 3)), nothing, nothing[..., 0], np.ones(4))
+    result = CaseResult(np.zeros((4, 1, 3)), {"tracker": ours, "exact": exact})
     first, second = scores_of("nlos-orbit", (10.0,), result, 1)
     assert first.rmse_m.value == pytest.approx(math.sqrt((25 + 25 + 1 + 169) / 4))
     assert first.rmse_horizontal_m.value == pytest.approx(math.sqrt((9 + 16 + 1 + 144) / 4))

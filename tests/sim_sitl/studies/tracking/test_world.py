@@ -60,8 +60,8 @@ def test_cases_that_differ_in_what_is_told_have_the_same_runs() -> None:
 
 def test_runs_differ_by_number_and_seed() -> None:
     path = Path(Shape.ORBIT)
-    truths = {tuple(draw_run(NLOS, path, TIME_S[:1], seed, n).truth_enu_m) for seed in (1, 2) for n in (0, 1)}
-    assert len(truths) == 4
+    runs = [draw_run(NLOS, path, TIME_S[:1], seed, n) for seed in (1, 2) for n in (0, 1)]
+    assert len({tuple(run.truth_enu_m[0]) for run in runs}) == 4
 
 
 def test_power_is_that_of_the_equations() -> None:
@@ -69,7 +69,7 @@ def test_power_is_that_of_the_equations() -> None:
         MIXED, shadowing_db=0.0, power_dbm=(15.0, 15.0), nlos_exponent=(3.0, 3.0), bias_max_db=0.0
     )
     run = draw_run(quiet, Path(Shape.ORBIT), TIME_S, 1, 0)
-    distance = np.linalg.norm(run.truth_enu_m - run.position_enu_m, axis=-1)
+    distance = np.linalg.norm(run.truth_enu_m[:, None] - run.position_enu_m, axis=-1)
     exponent = np.array([2.5, 3.0, 3.0, 3.0])
     np.testing.assert_allclose(run.rss_dbm, 15.0 - 10.0 * exponent * np.log10(distance))
     biased = draw_run(replace(quiet, bias_max_db=8.0), Path(Shape.ORBIT), TIME_S, 1, 0)
@@ -86,7 +86,7 @@ def test_shadowing_is_correlated_along_a_flight_and_each_vehicles_own() -> None:
     near, far = [], []
     for number in range(60):
         run = draw_run(quiet, path, TIME_S[:30], 5, number)
-        distance = np.linalg.norm(run.truth_enu_m - run.position_enu_m, axis=-1)
+        distance = np.linalg.norm(run.truth_enu_m[:, None] - run.position_enu_m, axis=-1)
         shadow = run.rss_dbm - 15.0 + 30.0 * np.log10(distance)
         near += [shadow[1:] * shadow[:-1]]
         far += [shadow[:, :-1] * shadow[:, 1:]]
@@ -98,7 +98,7 @@ def test_angles_have_a_white_and_a_constant_error() -> None:
     white, between = [], []
     for number in range(40):
         run = draw_run(LOS, Path(Shape.ORBIT), TIME_S, 3, number)
-        offset = run.truth_enu_m - run.position_enu_m
+        offset = run.truth_enu_m[:, None] - run.position_enu_m
         error = run.azimuth_rad - np.arctan2(offset[..., 1], offset[..., 0])
         error = np.degrees(np.remainder(error + np.pi, 2.0 * np.pi) - np.pi)
         white.append(error.std(axis=0))
@@ -117,3 +117,20 @@ def test_soft_labels_are_calibrated_and_wrong_ones_are_wrong() -> None:
     wrong = Labels("wrong").probabilities(states, rng)
     assert ((wrong > 0.5) != (states > 0.5)).mean() == pytest.approx(0.2, abs=0.01)
     assert set(wrong.round(6)) == {0.05, 0.95}
+
+
+def test_a_walker_keeps_his_speed_and_stays_in_the_area_and_the_still_are_not_touched() -> None:
+    path, moving = Path(Shape.ORBIT), replace(LOS, walking_m_s=1.5)
+    time_s = np.arange(301.0)
+    run = draw_run(moving, path, time_s, 3, 1)
+    step = np.linalg.norm(np.diff(run.truth_enu_m, axis=0), axis=-1)
+    np.testing.assert_allclose(step, 1.5)
+    assert np.ptp(run.truth_enu_m[:, 2]) == 0.0
+    assert np.hypot(*run.truth_enu_m[:, :2].T).max() <= path.radius_m
+    assert np.hypot(*np.ptp(run.truth_enu_m[:, :2], axis=0)) > 50.0
+    still = draw_run(LOS, path, time_s, 3, 1)
+    assert (still.truth_enu_m == run.truth_enu_m[0]).all()
+    # What is heard follows him: the bearings point at where he is.
+    offset = run.truth_enu_m[:, None] - run.position_enu_m
+    error = run.azimuth_rad - np.arctan2(offset[..., 1], offset[..., 0])
+    assert np.abs(np.remainder(error + np.pi, 2.0 * np.pi) - np.pi).max() < np.radians(10.0)
