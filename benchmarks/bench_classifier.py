@@ -10,14 +10,13 @@ milliseconds per batch and their ratio, with the environment. Needs the ``train`
 from __future__ import annotations
 
 import argparse
-import json
-import platform
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
-import onnxruntime
 import torch
+from reporting import environment, give
 
 from groundstation.channel import ChannelCapture, ChannelSettings, load_classifier
 from groundstation.channel.preprocess import INPUT_BINS, INPUT_CHANNELS, network_input, network_inputs
@@ -52,13 +51,7 @@ def main() -> None:
     rng = np.random.default_rng(0)
     result: dict[str, object] = {
         "claim": "onnx one thread against torch eager one thread",
-        "environment": {
-            "machine": platform.machine(),
-            "python": platform.python_version(),
-            "onnxruntime": onnxruntime.__version__,
-            "torch": torch.__version__,
-            "model": classifier.version,
-        },
+        "environment": {**environment("onnxruntime", "torch"), "model": classifier.version},
         "packets": arguments.packets,
         "repeats": arguments.repeats,
     }
@@ -85,9 +78,9 @@ def main() -> None:
 
         wall, processor = interleaved_ms(
             arguments.repeats,
-            lambda tensor=tensor: classifier.logits(tensor),  # type: ignore[misc]
+            partial(classifier.logits, tensor),
             eager,
-            lambda captures=captures: classifier.classify(captures),  # type: ignore[misc]
+            partial(classifier.classify, captures),
             together,
             apart,
         )
@@ -103,7 +96,7 @@ def main() -> None:
             "prepare_ratio": apart_ms / together_ms,
             "prepare_ratio_of_least_processor_time": processor[4] / processor[3],
         }
-    print(json.dumps(result, indent=2))
+    give(result)
 
 
 if __name__ == "__main__":

@@ -12,18 +12,16 @@ in our form and in CVXPY's, so that one can be read beside the other.
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import platform
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from reporting import environment, give
 
 from groundstation.localization import Links, SearchArea, SignalModel
 from groundstation.localization.baselines.lifting import lifted_constraints
@@ -410,20 +408,14 @@ def main() -> None:
     except ImportError:
         report["figures"] = "cvxpy is not installed: pip install groundstation[bench]"
     else:
-        report["environment"] = {
-            "python": platform.python_version(), "numpy": np.__version__, "cvxpy": version("cvxpy"),
-            "clarabel": version("clarabel"), "machine": platform.machine(),
-        }  # fmt: skip
+        report["environment"] = environment("numpy", "cvxpy", "clarabel")
         report["figures"] = {}
         for number, name in enumerate(PROGRAMS, 1):
             print(f"[{number}/{len(PROGRAMS)}] {name}", file=sys.stderr, flush=True)
             report["figures"][name] = measure(cvxpy, name, options.problems, options.seed)
         print("sdp_socp", file=sys.stderr, flush=True)
         report["figures"]["sdp_socp"] = measure_sdp_socp(cvxpy, options.problems, options.seed)
-    text = json.dumps(report, indent=2, ensure_ascii=False)
-    print(text)
-    if options.out is not None:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    give(report, options.out)
 
 
 if __name__ == "__main__":

@@ -8,13 +8,12 @@ ArduCopters with full-size impulse response fragments mixed in.
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import platform
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+
+from reporting import environment, give
 
 from groundstation.mavlink.decode import decode
 from groundstation.mavlink.dialect import dialect
@@ -93,15 +92,9 @@ def main() -> int:
         "ratio_to_pymavlink": {
             name: round(rate / rates["pymavlink"], 2) for name, rate in rates.items() if name != "pymavlink"
         },
-        "environment": {
-            "python": platform.python_version(),
-            "machine": platform.machine(),
-            "system": platform.platform(),
-            "cores": os.cpu_count(),
-            "load_1min": os.getloadavg()[0],
-        },
+        "environment": environment("pymavlink"),
     }
-    print(json.dumps(result, indent=2))
+    give(result)
     return 0
 
 

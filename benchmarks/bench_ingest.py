@@ -12,15 +12,14 @@ Seconds are the process's CPU seconds: other work on the machine does not count.
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import os
-import platform
 import statistics
 import sys
 import time
 from pathlib import Path
 from typing import Any
+
+from reporting import environment, give
 
 from groundstation.domain.inputs import Direction, FrameInput, Record, TickInput
 from groundstation.domain.radio import LinkWindow
@@ -150,17 +149,9 @@ def main() -> int:
         "pymavlink_parse_buffer_frames_per_s": round(statistics.median(theirs)),
         "ratio_to_pymavlink_decoding_only": round(statistics.median(ours) / statistics.median(theirs), 3),
         "times_real_time": round(chosen.seconds * statistics.median(ours) / frames, 1),
-        "environment": {
-            "python": platform.python_version(),
-            "machine": platform.machine(),
-            "system": platform.system(),
-            "processors": os.cpu_count(),
-        },
+        "environment": environment("pymavlink"),
     }
-    text = json.dumps(result, indent=2)
-    print(text)
-    if chosen.out:
-        chosen.out.write_text(text + "\n")
+    give(result, chosen.out)
     return 0
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import platform
 import socket
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from reporting import environment, give
 from websockets.asyncio.client import connect
 
 VEHICLES, BEACONS, WARM_UP_S, MEASURE_S = 20, 5, 15.0, 45.0
@@ -115,21 +115,13 @@ def main() -> None:
         for share in (50, 99):
             figures[f"{kind}_p{share}_ms"] = round(float(np.percentile(values, share)), 1)
     ratio = figures["targets_p99_ms"] / figures["links_p99_ms"]
-    print(
-        json.dumps(
-            {
-                "name": "last sample to websocket",
-                "figures": figures,
-                "ratios": {"target p99 / raw sample p99": round(ratio, 2)},
-                "environment": {
-                    "python": platform.python_version(),
-                    "machine": platform.machine(),
-                    "cores": os.cpu_count(),
-                    "load_average": os.getloadavg()[0],
-                },
-            },
-            indent=2,
-        )
+    give(
+        {
+            "name": "last sample to websocket",
+            "figures": figures,
+            "ratios": {"target p99 / raw sample p99": round(ratio, 2)},
+            "environment": environment(),
+        }
     )
 
 

@@ -11,16 +11,14 @@ cost: ``bench_tracking.py``.
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import platform
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
+from reporting import environment, give
 
 from groundstation.localization import (
     Links,
@@ -119,19 +117,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     report: dict[str, Any] = {
-        "environment": {
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "scipy": scipy.__version__,
-            "machine": platform.machine(),
-        },
+        "environment": environment("numpy", "scipy"),
         "seed": options.seed,
         "snapshot": snapshots(options.seed, options.repeats),
     }
-    text = json.dumps(report, indent=2, ensure_ascii=False)
-    print(text)
-    if options.out is not None:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    give(report, options.out)
 
 
 if __name__ == "__main__":

@@ -170,9 +170,9 @@ def comparison(station: Station, truth_file: Path) -> str:
     ]
     for beacon in truth["beacons"]:
         name = str(beacon["id"])
-        state = station.targets.get(int(name))
+        state = station.display.targets.get(int(name))
         if state is None:
-            waiting = station.waiting.get(int(name))
+            waiting = station.display.waiting.get(int(name))
             lines.append(f"{name:>20}  {'-':>8}  {waiting.needed if waiting else 'never heard'}")
             continue
         error_m = horizontal_error_m(state, beacon)

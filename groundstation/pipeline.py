@@ -130,3 +130,25 @@ def mission_with_origin(
         ground_amsl_m=mission.ground_amsl_m if ground_known else place.altitude_amsl_m,
         height_reference=mission.height_reference if ground_known else "home",
     )
+
+
+def mission_with_settings(known: Mission, given: Mission) -> Mission | None:
+    """The session's mission with what a run was given; None when that changes nothing.
+
+    Limits and target heights are the run's; areas, places and terrain that it was not given are kept.
+    """
+    merged = replace(
+        known,
+        search_area=given.search_area or known.search_area,
+        fence=given.fence or known.fence,
+        last_known=given.last_known or known.last_known,
+        terrain=given.terrain or known.terrain,
+        target_height_min_m=given.target_height_min_m,
+        target_height_max_m=given.target_height_max_m,
+        limits=given.limits,
+    )
+    if given.ground_amsl_m is not None:
+        merged = replace(merged, ground_amsl_m=given.ground_amsl_m, height_reference=given.height_reference)
+    if merged == known and known.revision != 0:
+        return None
+    return replace(merged, revision=known.revision + 1)

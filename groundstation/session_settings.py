@@ -6,6 +6,7 @@ A replay reads it, a restart goes on with it, and a person can use it for the ne
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from groundstation.config import Config, LoadedConfig, load_config
@@ -27,3 +28,18 @@ def read_settings(directory: Path) -> Config:
     if not (directory / NAME).is_file():
         raise InputError(f"{directory}: not a session's directory (it has no {NAME})")
     return load_config(file=directory / NAME).config
+
+
+def with_engines_of(config: Config, directory: Path) -> Config:
+    """``config``, but what the engines are run with as the session in ``directory`` began: or its
+    replay would differ. Raises InputError.
+    """
+    kept = read_settings(directory)
+    return replace(
+        config,
+        measurement=kept.measurement,
+        channel=kept.channel,
+        estimator=kept.estimator,
+        safety=kept.safety,
+        command=kept.command,
+    )

@@ -11,7 +11,7 @@ from groundstation.domain.mission import Mission
 from groundstation.domain.vehicle import Autopilot, VehicleState
 from groundstation.engine.ingest import Ingest
 from groundstation.mission_files import disc_area
-from groundstation.pipeline import Pipeline, dropped_windows, mission_with_origin
+from groundstation.pipeline import Pipeline, dropped_windows, mission_with_origin, mission_with_settings
 
 HOME = Geodetic(-35.3625, 149.1654, 584.0)
 
@@ -56,6 +56,24 @@ def test_a_recording_without_an_area_gets_a_disc_round_the_first_place() -> None
     assert mission is not None
     assert mission.search_area is not None
     assert mission_with_origin(mission, vehicle(home=HOME), lambda place: disc_area(place, 500.0)) is None
+
+
+def test_a_run_s_settings_come_over_the_session_s_mission_and_what_they_lack_is_kept() -> None:
+    fence, area = disc_area(HOME, 900.0), disc_area(HOME, 300.0)
+    known = Mission(
+        revision=4, origin=HOME, fence=fence, ground_amsl_m=584.0, height_reference="home",
+        target_height_max_m=20.0,
+    )  # fmt: skip
+    merged = mission_with_settings(known, Mission(search_area=area, target_height_max_m=9.0))
+    assert merged == replace(known, revision=5, search_area=area, target_height_max_m=9.0)
+    measured = mission_with_settings(known, Mission(ground_amsl_m=570.0, height_reference="settings"))
+    assert measured is not None
+    assert (measured.ground_amsl_m, measured.height_reference, measured.fence) == (570.0, "settings", fence)
+
+
+def test_settings_that_change_nothing_make_no_revision_but_the_first() -> None:
+    assert mission_with_settings(Mission(revision=3, origin=HOME), Mission()) is None
+    assert mission_with_settings(Mission(), Mission()) == Mission(revision=1)
 
 
 def test_missions_ticks_joins_and_session_events_reach_the_estimator_in_order() -> None:

@@ -122,11 +122,6 @@ def time_channel(tap_spacing_ns: NDArray[np.float64]) -> NDArray[np.float32]:
     return channel.astype(np.float32)
 
 
-def leading_edge(magnitude: NDArray[np.float64], told: float | None = None) -> int:
-    """Tap of the first path of (taps,) by its leading edge: see :func:`leading_edges`."""
-    return int(leading_edges(magnitude[None], np.array([np.nan if told is None else told]))[0])
-
-
 def leading_edges(magnitude: NDArray[np.float64], told: NDArray[np.float64]) -> NDArray[np.int64]:
     """(n,) taps of the first paths of (n, taps) by their leading edges; near ``told`` where it lies within.
 

@@ -1,7 +1,7 @@
 """Everything that ingest keeps of one vehicle, and what it makes of each of its messages.
 
-Why apart from ingest.py and vehicle_notices.py: those decide whose frame it is and which words the
-operator reads, this one what a message means.
+Why apart from ingest.py, vehicle_notices.py and vehicle_listening.py: those decide whose frame it is,
+which words the operator reads and what counts as having listened, this one what a message means.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from collections.abc import Callable
 from typing import Any
 
 from groundstation.domain.events import Event, Severity
-from groundstation.domain.geometry import Geodetic
 from groundstation.domain.radio import LinkActivity, LinkWindow, Listener, Listening
 from groundstation.domain.vehicle import AUTOPILOT_COMPONENT, SENSOR_COMPONENT, VehicleState
+from groundstation.engine.vehicle_listening import VehicleListening
 from groundstation.engine.vehicle_notices import VehicleNotices
 from groundstation.mavlink import messages as m
 from groundstation.mavlink.vehicle_message import VehicleMessage
-from groundstation.measurement.pose_history import Pose, PoseHistory
+from groundstation.measurement.pose_history import PoseHistory
 from groundstation.measurement.sequence import FrameLoss
 from groundstation.measurement.settings import MeasurementSettings
 from groundstation.measurement.status_text import StatusTexts
@@ -52,8 +52,7 @@ class VehicleIntake:
         self.notices = VehicleNotices(settings, vehicle_id, found_ns)
         self._dirty = False
         self._state_ns: int | None = None
-        self._packets: dict[int, int] = {}
-        self._alive_ns = round(settings.listening_alive_s * 1e9)
+        self._listening = VehicleListening(settings, vehicle_id)
         self._lost_ns = round(settings.vehicle_lost_s * 1e9)
         self._interval_ns = round(settings.state_interval_s * 1e9)
 
@@ -106,19 +105,9 @@ class VehicleIntake:
             out.append(self._state_now(now_ns))
 
     def listened(self, start_ns: int, end_ns: int) -> Listener | None:
-        """What was heard, and where, in an interval that ends now; None: not known to have listened.
-
-        Packets count by their arrival: a second on the radio makes no difference to who heard what.
-        """
-        packets, self._packets = self._packets, {}
-        heard_ns, offset_ns = self.picture.sensor_heard_ns, self.clocks[AUTOPILOT_COMPONENT].boot.offset_ns
-        if heard_ns is None or end_ns - heard_ns > self._alive_ns or offset_ns is None:
-            return None
-        pose = self.poses.at((start_ns + end_ns) // 2 - offset_ns, final=True)
-        if not isinstance(pose, Pose):
-            return None
-        place = Geodetic(pose.latitude_deg, pose.longitude_deg, pose.altitude_amsl_m)
-        return Listener(self.vehicle_id, place, tuple(sorted(packets.items())))
+        """What was heard, and where, in an interval that ends now; None: not known to have listened."""
+        offset_ns = self.clocks[AUTOPILOT_COMPONENT].boot.offset_ns
+        return self._listening.take(start_ns, end_ns, self.picture.sensor_heard_ns, offset_ns, self.poses)
 
     def end(self, now_ns: int, out: list[IngestOutput]) -> None:
         """Nothing more will come: close all windows, tell what was not told yet."""
@@ -140,7 +129,7 @@ class VehicleIntake:
         self.loss = FrameLoss()
         self.notices.forget_stream(now_ns)
         self._silent_since_ns = now_ns
-        self._packets = {}
+        self._listening.forget_stream()
 
     # --- messages of the autopilot
 
@@ -284,10 +273,7 @@ class VehicleIntake:
         take: Callable[[VehicleSamples, Any, int, int], LinkActivity | None],
     ) -> None:
         self.picture.sensor_heard_ns = now_ns
-        beacon_id = message.beacon_id
-        if beacon_id in self._packets or len(self._packets) < self._settings.links_per_vehicle:
-            # One level a packet; what else tells of it says only that it was heard.
-            self._packets[beacon_id] = self._packets.get(beacon_id, 0) + isinstance(message, m.RssSample)
+        self._listening.heard(message.beacon_id, message)
         clock = self.clocks.get(component_id) or self._clock(component_id)
         if clock is None:
             return
@@ -349,7 +335,7 @@ class VehicleIntake:
             "samples": self.samples.state(),
             "loss": self.loss.state(),
             "texts": self.texts.state(),
-            "packets": [list(item) for item in self._packets.items()],
+            "packets": self._listening.state(),
         }
 
     def restore(self, tree: dict[str, Any]) -> None:
@@ -368,7 +354,7 @@ class VehicleIntake:
         self.loss.restore(tree["loss"])
         self.texts.restore(tree["texts"])
         # Kept before listening was told: none.
-        self._packets = dict(tree.get("packets", []))
+        self._listening.restore(tree.get("packets", []))
 
 
 _Handler = Callable[[VehicleIntake, int, Any, int, list[IngestOutput]], None]

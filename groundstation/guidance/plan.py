@@ -1,4 +1,4 @@
-"""What a planner is given and what it answers: the seam for other ways of choosing places.
+"""What a planner is given, in one frozen value: the seam for other ways of choosing places.
 
 A planner is a pure function of one frozen request. Its answer goes back to the command desk
 as an input, tagged with the mission revision it was based on, so a replay needs no planner.
@@ -9,16 +9,12 @@ place without any change elsewhere.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from groundstation.domain.command import Proposal
 from groundstation.domain.geometry import Geodetic
-from groundstation.domain.inputs import PlanInput
 from groundstation.domain.mission import Mission
 from groundstation.domain.target import TargetState
 from groundstation.domain.vehicle import VehicleState
-from groundstation.guidance.settings import GuidanceSettings
-from groundstation.safety.settings import SafetySettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +30,3 @@ class PlanRequest:
     """(vehicle, place) of commands that vehicles may still be flying."""
     outstanding: tuple[Proposal, ...] = ()
     """Proposals that can still be confirmed."""
-
-
-class Planner(Protocol):
-    """Chooses places for vehicles."""
-
-    def __call__(self, request: PlanRequest, settings: GuidanceSettings, safety: SafetySettings) -> PlanInput:
-        """Proposals that have passed the gate, at most one a vehicle, and notes on the others."""

@@ -31,8 +31,6 @@ MAGIC_V1 = 0xFE
 MAGIC_V2 = 0xFD
 SIGNED_FLAG = 0x01
 SIGNATURE_LENGTH = 13
-MAX_FRAME_LENGTH = 280
-"""Header 10, payload 255, CRC 2, signature 13."""
 MAX_UNVERIFIED = 64
 """Unverified frames kept for ``take_unverified``; older ones go, counted."""
 

@@ -262,20 +262,6 @@ class SenderClock:
             self._wraps = 0
         return station_ns
 
-    def to_station_ns(self, time_usec: int) -> int | None:
-        """Station time of a sender's time by the map as it stands; None before the first message."""
-        offset_ns = self.map_of_usec(time_usec).offset_ns
-        return None if offset_ns is None else time_usec * 1000 + offset_ns
-
-    def take_step(self) -> ClockStep | None:
-        """The step that the newest message confirmed, once."""
-        for scale in (self.boot, self.unix):
-            step = scale.step
-            if step is not None:
-                scale.step = None
-                return step
-        return None
-
     def state(self) -> dict[str, Any]:
         """Everything, as a tree for a snapshot."""
         return {

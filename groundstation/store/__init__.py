@@ -7,7 +7,7 @@ file is read as far as it goes, and what was lost is counted.
 
 from groundstation.store.clock import StationClock
 from groundstation.store.database import Database
-from groundstation.store.journal import Journal, JournalReader, read_journal
+from groundstation.store.journal import Journal, JournalReader
 from groundstation.store.session import (
     ResumedSession,
     Session,
@@ -33,7 +33,6 @@ __all__ = [
     "load_snapshot",
     "open_new",
     "open_to_read",
-    "read_journal",
     "resume",
     "save_snapshot",
 ]

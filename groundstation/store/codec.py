@@ -47,7 +47,6 @@ MARKER = b"\xa7\x4a"
 """First bytes of each record: what a reader looks for behind damage."""
 HEAD = struct.Struct("<2sBBIQqq")
 CRC = struct.Struct("<I")
-OVERHEAD = HEAD.size + CRC.size
 MAX_PAYLOAD = 16_000_000
 """Bytes. A longer length is damage, not a record."""
 

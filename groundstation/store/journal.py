@@ -182,11 +182,6 @@ class JournalReader:
             yield record
 
 
-def read_journal(path: Path, after_seq: int = -1) -> Iterator[Record]:
-    """The records of a journal in order, past any damage; ``JournalReader`` also counts that."""
-    return iter(JournalReader(path, after_seq))
-
-
 def journal_files(path: Path) -> list[Path]:
     """The journal's files in order.
 

@@ -161,8 +161,6 @@ class ResumedSession:
     """The record that says ``resumed``; journalled already, to be handled behind the tail."""
     events: tuple[Event, ...]
     """What was lost and passed over."""
-    stopped_ns: int
-    """Station time of the last record before the stop."""
 
 
 def open_new(
@@ -240,7 +238,7 @@ def _resume_locked(
     write_meta(directory, meta)
     session = Session(directory, meta, lock, settings, clock, last_seq + 1)
     resumed = session.record(SessionInput("resumed", version))
-    return ResumedSession(session, snapshot, tail, resumed, tuple(events), last_ns)
+    return ResumedSession(session, snapshot, tail, resumed, tuple(events))
 
 
 def open_to_read(directory: Path) -> tuple[SessionMeta, JournalReader]:

@@ -18,7 +18,7 @@ from groundstation.store.snapshots import write_atomically
 from sim_sitl.studies import paper, plots
 from sim_sitl.studies.cases import CASES
 from sim_sitl.studies.result_files import cases_of, cdf_csv, paper_figure, profile_csv, results_csv, stages_of
-from sim_sitl.studies.results import LIMIT, Results, limit_name
+from sim_sitl.studies.results import LIMIT, Provenance, Results, limit_name
 from sim_sitl.studies.scoring import EXCLUDED_ABOVE_M, REFERENCE, RESAMPLES, Figure, Score
 from sim_sitl.studies.study import Section, Shape, Study
 
@@ -61,16 +61,7 @@ def markdown(study: Study, results: Results) -> str:
         lines += [*_TABLES[section.shape](section, results), ""]
         lines += [f"![{section.title}]({_picture(study, section)})", ""]
     lines += _profile(study, results)
-    versions = ", ".join(f"{name} {version}" for name, version in p.versions.items())
-    lines += [
-        "## Made by",
-        "",
-        f"`{p.command}`",
-        "",
-        f"{p.workers}; {p.wall_s:.0f} s in all. {versions}.",
-        "",
-    ]
-    return "\n".join(lines)
+    return "\n".join([*lines, *made_by(p)])
 
 
 def _in_short(study: Study, results: Results) -> list[str]:
@@ -250,6 +241,19 @@ def _profile(study: Study, results: Results) -> list[str]:
         share = percent(seconds / everything)
         lines.append(f"| {name} | {seconds:.2f} | {share} | {1e3 * seconds / solves[name]:.3g} |")
     return [*lines, ""]
+
+
+def made_by(origin: Provenance) -> list[str]:
+    """A report's last lines: what to type to have it again, and what it was made with."""
+    versions = ", ".join(f"{name} {version}" for name, version in origin.versions.items())
+    return [
+        "## Made by",
+        "",
+        f"`{origin.command}`",
+        "",
+        f"{origin.workers}; {origin.wall_s:.0f} s in all. {versions}.",
+        "",
+    ]
 
 
 def number(value: float) -> str:

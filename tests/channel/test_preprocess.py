@@ -16,7 +16,7 @@ from groundstation.channel.preprocess import (
     INPUT_BINS,
     INPUT_CHANNELS,
     LEAD_TAPS,
-    leading_edge,
+    leading_edges,
     network_input,
     network_inputs,
 )
@@ -75,7 +75,7 @@ def test_leading_edge_finds_a_weak_first_path_before_the_peak() -> None:
     magnitude = 0.01 * rng.rayleigh(size=300)
     magnitude[120] = 0.3
     magnitude[150] = 1.0
-    assert leading_edge(magnitude) == 120
+    assert leading_edges(magnitude[None], np.array([np.nan])) == [120]
 
 
 def test_a_first_path_outside_the_window_is_not_believed(make_capture: MakeCapture) -> None:
@@ -147,9 +147,8 @@ def test_a_told_first_path_is_a_hint_for_the_edge() -> None:
     magnitude = 0.01 * rng.rayleigh(size=300)
     magnitude[40] = 0.9
     magnitude[120] = 1.0
-    assert leading_edge(magnitude) == 40
-    assert leading_edge(magnitude, 118.3) == 120
-    assert leading_edge(magnitude, 200.0) == 200
+    edges = leading_edges(np.tile(magnitude, (3, 1)), np.array([np.nan, 118.3, 200.0]))
+    assert edges.tolist() == [40, 120, 200]
 
 
 def one_by_one(magnitude: np.ndarray, spacing_ns: float, told: float) -> np.ndarray:

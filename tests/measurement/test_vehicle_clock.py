@@ -135,7 +135,7 @@ def test_boot_milliseconds_wrap_after_49_days(settings):
         boot_ms = (WRAP_MS - 5_000 + i * 100) % WRAP_MS
         mapped = clock.observe_boot_ms(boot_ms, START + i * 100 * MS)
         assert mapped == START + i * 100 * MS
-        assert clock.take_step() is None
+        assert clock.boot.step is None
     # One from before the wrap, overtaken on its way, still finds its place.
     late = clock.observe_boot_ms(WRAP_MS - 10, START + 80 * 100 * MS)
     assert late == START + 4_990 * MS
@@ -148,9 +148,8 @@ def test_a_reboot_is_not_taken_for_a_wrap(settings):
     kinds = []
     for i in range(10):
         clock.observe_boot_ms(500 + i * 100, START + 20 * S + i * 100 * MS)
-        step = clock.take_step()
-        if step:
-            kinds.append(step.kind)
+        if clock.boot.step:
+            kinds.append(clock.boot.step.kind)
     assert kinds == [StepKind.REBOOT]
     assert clock.boot_ns(2000) == 2000 * MS
 
@@ -162,12 +161,12 @@ def test_unix_and_boot_times_of_one_sender_are_mapped_apart(settings):
         now = START + i * 100 * MS
         assert clock.observe_usec(100_000_000 + i * 100_000, now) == now
         assert clock.observe_usec(wrong_us + i * 100_000, now) == now
-    assert clock.to_station_ns(100_000_000 + 500_000) == START + 500 * MS
-    assert clock.to_station_ns(wrong_us + 500_000) == START + 500 * MS
+    boot, unix = clock.map_of_usec(100_000_000), clock.map_of_usec(wrong_us)
+    assert (boot.offset_ns, unix.offset_ns) == (START - 100 * S, START - wrong_us * 1000)
 
 
 def test_no_map_before_the_first_message(settings):
-    assert SenderClock(settings).to_station_ns(123) is None
+    assert SenderClock(settings).map_of_usec(123).offset_ns is None
 
 
 def test_timesync_bounds_the_uncertainty_but_does_not_move_the_map(settings):

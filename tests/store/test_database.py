@@ -37,31 +37,39 @@ def verdict(time_ns: int, probability: float) -> LinkVerdict:
     return LinkVerdict(3, BEACON, time_ns, probability, LosSource.CLASSIFIER, "", -71.5, 0.1, 0.2, 4)
 
 
-def test_events_newest_first_and_before_an_id(database: Database) -> None:
+def rows(database: Database, sql: str) -> list[sqlite3.Row]:
+    """As any other program reads the file."""
+    connection = sqlite3.connect(f"{database._path.absolute().as_uri()}?mode=ro", uri=True)
+    connection.row_factory = sqlite3.Row
+    try:
+        return connection.execute(sql).fetchall()
+    finally:
+        connection.close()
+
+
+def count(database: Database, table: str) -> int:
+    return int(rows(database, f"SELECT count(*) FROM {table}")[0][0])
+
+
+def test_events_before_a_time_oldest_first(database: Database) -> None:
     events = [Event(i, "vehicle.lost", Severity.WARNING, f"lost {i}", 4, BEACON) for i in range(10)]
     for event in events:
         database.store(event)
     database.flush()
-    newest = database.reader.recent_events(3)
-    assert [stored.event for stored in newest] == events[:-4:-1]
-    older = database.reader.recent_events(100, before_id=newest[-1].event_id)
-    assert [stored.event for stored in older] == events[6::-1]
+    assert database.reader.events_before(10, 3) == events[7:]
+    assert database.reader.events_before(7) == events[:7]
 
 
-def test_target_history(database: Database, target_state: Callable[..., TargetState]) -> None:
-    states = [target_state(BEACON, n, 1000 * n) for n in range(5)]
-    for state in (*states, target_state(1, 0, 5)):
-        database.store(state)
+def test_a_belief_is_one_row(database: Database, target_state: Callable[..., TargetState]) -> None:
+    state = target_state(BEACON, 2, 2000)
+    database.store(state)
     database.flush()
-    points = database.reader.target_history(BEACON, since_ns=1000, until_ns=3000)
-    assert [point.sequence for point in points] == [2, 3]
-    point, state = points[0], states[2]
-    assert point.beacon_id == BEACON
-    assert point.covariance_enu_m2 == state.covariance_enu_m2
-    assert (point.latitude_deg, point.radius_90_m) == (state.position.latitude_deg, state.radius_90_m)
-    assert (point.environment, point.los_links, point.links) == ("MIXED", 2, 4)
-    assert database.reader.beacon_ids() == [1, BEACON]
-    assert len(database.reader.target_history(BEACON, limit=1)) == 1
+    (row,) = rows(database, "SELECT * FROM targets")
+    assert (int(row["beacon_id"]), row["sequence"], row["time_ns"]) == (BEACON, 2, 2000)
+    names = [f"covariance_{axes}_m2" for axes in ("ee", "en", "eu", "nn", "nu", "uu")]
+    assert tuple(row[name] for name in names) == state.covariance_enu_m2
+    assert (row["latitude_deg"], row["radius_90_m"]) == (state.position.latitude_deg, state.radius_90_m)
+    assert (row["environment"], row["los_links"], row["links"]) == ("MIXED", 2, 4)
 
 
 def test_everything_may_come_twice(database: Database, target_state: Callable[..., TargetState]) -> None:
@@ -82,17 +90,17 @@ def test_everything_may_come_twice(database: Database, target_state: Callable[..
         for record in actions:
             database.store_record(record)
     database.flush()
-    assert len(database.reader.recent_events()) == 1
-    assert len(database.reader.target_history(BEACON)) == 1
-    commands = database.reader.command_log()
+    assert (count(database, "events"), count(database, "targets")) == (1, 1)
+    commands = rows(database, "SELECT * FROM commands ORDER BY id DESC")
     assert [row["phase"] for row in commands] == ["flying", "sent"]
     assert commands[0]["latitude_deg"] == 1.0
-    operators = database.reader.operator_log()
+    operators = rows(database, "SELECT * FROM operator_actions")
     assert [(row["seq"], row["who"], row["decision"]) for row in operators] == [(4, "ann", "confirm")]
-    (minute,) = database.reader.link_minutes(3, BEACON)
-    assert (minute.minute_ns, minute.windows, minute.captures) == (MINUTE_NS, 2, 8)
-    assert (minute.los_probability_mean, minute.los_probability_last) == (0.5, 0.75)
-    assert (minute.los_probability_min, minute.los_probability_max) == (0.25, 0.75)
+    (minute,) = rows(database, "SELECT * FROM link_minutes")
+    assert (minute["vehicle_id"], int(minute["beacon_id"]), minute["minute_ns"]) == (3, BEACON, MINUTE_NS)
+    assert (minute["windows"], minute["captures"], minute["los_probability_sum"]) == (2, 8, 1.0)
+    assert (minute["los_probability_last"], minute["los_probability_min"]) == (0.75, 0.25)
+    assert minute["los_probability_max"] == 0.75
 
 
 def test_numbers_that_are_not_finite_become_null(
@@ -102,7 +110,7 @@ def test_numbers_that_are_not_finite_become_null(
     object.__setattr__(state, "radius_90_m", float("inf"))
     database.store(state)
     database.flush()
-    assert database.reader.target_history(BEACON)[0].radius_90_m is None
+    assert [point.radius_90_m for point in database.reader.target_curve(BEACON)] == [None]
 
 
 def test_one_bad_row_does_not_cost_its_neighbours(
@@ -117,8 +125,8 @@ def test_one_bad_row_does_not_cost_its_neighbours(
     database.store(verdict(3, float("nan")))
     database.store(Event(3, "good", Severity.INFO, "behind"))
     database.flush()
-    assert [stored.event.text for stored in database.reader.recent_events()] == ["behind", "before"]
-    assert database.reader.target_history(7) == []
+    assert [event.text for event in database.reader.events_before(2**62)] == ["before", "behind"]
+    assert database.reader.target_curve(7) == []
     counters = {counter.labels: counter.value for counter in database.counters()}
     assert counters[(("reason", "bad_row"),)] == 4
     assert database.failure is None
@@ -128,8 +136,8 @@ def test_answers_are_bounded(database: Database) -> None:
     for i in range(3):
         database.store(Event(i, "a", Severity.INFO, "t"))
     database.flush()
-    assert len(database.reader.recent_events(limit=10**12)) == 3
-    assert database.reader.recent_events(limit=-5) == []
+    assert len(database.reader.events_before(10, limit=10**12)) == 3
+    assert database.reader.events_before(10, limit=-5) == []
 
 
 def test_a_full_queue_drops_the_bulk_first_and_counts(
@@ -158,8 +166,7 @@ def test_a_full_queue_drops_the_bulk_first_and_counts(
     assert database.events(2) == []
     gate.set()
     database.flush()
-    assert len(database.reader.target_history(1)) == 8
-    assert len(database.reader.recent_events()) == 3
+    assert (count(database, "targets"), count(database, "events")) == (8, 3)
     database.close()
     assert database.counters()[1].value == 6
 
@@ -192,7 +199,7 @@ FULL = textwrap.dedent(
         time.sleep(0.01)
     database.flush()
     assert [event.code for event in database.events(1)] == ["database.recovered"]
-    assert [item.event.code for item in database.reader.recent_events()] == ["after", "first"]
+    assert [event.code for event in database.reader.events_before(9)] == ["first", "after"]
     database.close()
     """
 )
@@ -215,7 +222,7 @@ def test_a_damaged_file_is_put_aside(tmp_path: Path) -> None:
     assert (tmp_path / "x.sqlite.damaged-1").exists()
     database.store(Event(0, "a", Severity.INFO, "t"))
     database.flush()
-    assert len(database.reader.recent_events()) == 1
+    assert len(database.reader.events_before(1)) == 1
     database.close()
 
 
@@ -235,7 +242,7 @@ def test_readers_do_not_wait_for_the_writer(database: Database) -> None:
     lock = sqlite3.connect(database._path, isolation_level=None)
     lock.execute("BEGIN IMMEDIATE")
     try:
-        assert len(database.reader.recent_events()) == 1
+        assert len(database.reader.events_before(1)) == 1
     finally:
         lock.close()
 

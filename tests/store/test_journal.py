@@ -16,7 +16,7 @@ import pytest
 from groundstation.domain.errors import InputError
 from groundstation.domain.inputs import Decision, OperatorInput, Record, TickInput
 from groundstation.store.codec import CRC, HEAD, encode_record
-from groundstation.store.journal import Journal, JournalReader, journal_files, read_journal
+from groundstation.store.journal import Journal, JournalReader, journal_files
 from groundstation.store.settings import StoreSettings
 
 MakeRecord = Callable[[int], Record]
@@ -36,7 +36,7 @@ def test_reads_back_what_was_written(tmp_path: Path, frame_record: MakeRecord) -
     assert list(reader) == records
     assert reader.session_id == "session-1"
     assert reader.damage() == ""
-    assert list(read_journal(tmp_path, after_seq=46)) == records[47:]
+    assert list(JournalReader(tmp_path, after_seq=46)) == records[47:]
 
 
 def test_torn_at_every_byte_of_the_last_record(tmp_path: Path, frame_record: MakeRecord) -> None:
@@ -128,7 +128,7 @@ def test_rotates_by_size_and_skips_files_that_are_not_asked_for(
     files = journal_files(tmp_path)
     assert len(files) == 8
     assert all(path.stat().st_size < 700 for path in files)
-    assert list(read_journal(tmp_path)) == records
+    assert list(JournalReader(tmp_path)) == records
     files[0].write_bytes(b"")
     reader = JournalReader(tmp_path, after_seq=21)
     assert list(reader) == records[22:]

@@ -89,7 +89,7 @@ def test_goes_on_where_it_was(tmp_path: Path) -> None:
     assert list(again.tail) == tail
     assert again.resumed.seq == tail[-1].seq + 1
     assert again.resumed.input == SessionInput("resumed", "0.2")
-    assert again.resumed.time_ns >= tail[-1].time_ns == again.stopped_ns
+    assert again.resumed.time_ns >= tail[-1].time_ns
     assert find_resumable(tmp_path) is None  # it is open
     again.session.record(TickInput())
     again.session.close("0.2")

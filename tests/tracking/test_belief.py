@@ -208,7 +208,7 @@ def test_misjudged_bearings_do_not_capture_the_belief(fly) -> None:
             belief.update(batch)
         said = containment(belief.mesh, belief.mass)
         ratio.append(np.hypot(*(said.position_enu_m - flight.truth_enu_m)[:2]) / max(said.radius_90_m, 5.0))
-    # A captured belief is sure of a wrong place: 5 to 20 radii off. Of 24 runs 18 are inside, the worst at 3.2.
+    # A captured belief is 5 to 20 radii off. Of 24 runs 18 are inside, the worst at 3.2.
     assert max(ratio) < 4.0
     assert np.count_nonzero(np.array(ratio) <= 1.0) >= 5
 

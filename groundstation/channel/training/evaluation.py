@@ -80,8 +80,9 @@ def evaluate_splits(
     result = [evaluate(classifier, data, links, f"{title}, all captures of a link", None)]
     if int(data.packets.max()) > 1:
         result.append(evaluate(classifier, data, links, f"{title}, first capture only", 1))
-    for place, name in enumerate(names if data.source is not None else ()):
-        part = links[data.source[links] == place]  # type: ignore[index]
+    source = None if data.source is None else data.source[links]
+    for place, name in enumerate(names if source is not None else ()):
+        part = links[source == place]
         if len(part):
             result.append(evaluate(classifier, data, part, f"{title}, of {name}", None))
             if int(data.packets[part].max()) > 1:

@@ -136,6 +136,7 @@ def _train_epoch(
         weight = None if data.weight is None else torch.from_numpy(data.weight[links].astype(np.float32))
         loss = nn.functional.binary_cross_entropy_with_logits(model(batch), target, weight)
         optimiser.zero_grad()
+        # torch itself leaves this one without types.
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimiser.step()

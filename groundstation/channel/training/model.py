@@ -61,7 +61,8 @@ class CnnLstm(nn.Module):
     def embed(self, packets: torch.Tensor) -> torch.Tensor:
         """(links, packets, channels, bins) → (links · packets, EMBEDDING)."""
         flat = packets.flatten(0, 1)
-        return self.cnn(torch.cat([flat, self.arrived(flat)], 1))  # type: ignore[no-any-return]
+        embedded: torch.Tensor = self.cnn(torch.cat([flat, self.arrived(flat)], 1))
+        return embedded
 
     def arrived(self, flat: torch.Tensor) -> torch.Tensor:
         """(n, channels, bins) → (n, 1, bins) energy up to each bin over that up to the last fine tap.
