@@ -59,7 +59,8 @@ clean: ## remove everything that was built or installed
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python >= 3.11 is needed, $$($(PYTHON) --version) was found; name another one: make PYTHON=python3.12"; exit 1; }
-	$(PYTHON) -m venv $(VENV) || { echo "python venv is needed (Debian: apt install python3-venv)"; exit 1; }
+	@echo "installing into $(VENV) and web/node_modules: a minute or two, once"
+	@$(PYTHON) -m venv $(VENV) || { echo "python venv is needed (Debian: apt install python3-venv)"; exit 1; }
 
 $(VENV)/.runtime: pyproject.toml constraints.txt hatch_build.py groundstation/mavlink/sar_radio.xml | $(BIN)/python
 	@test -e $(VENV)/.dev || $(BIN)/python -m pip install -q -c constraints.txt -e .

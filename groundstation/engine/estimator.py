@@ -10,6 +10,7 @@ counted; results are rounded.
 from __future__ import annotations
 
 from collections import Counter as Tally
+from collections.abc import Sequence
 from typing import Any
 
 from groundstation.domain.errors import InputError
@@ -146,7 +147,7 @@ class Estimator:
         beliefs = [part.belief for part in parts if part.belief is not None]
         if area is None or not beliefs:
             return None
-        joint = self._new_belief(area, parts[0].beacon_id)
+        joint = self._new_belief(area, [part.beacon_id for part in parts])
         for belief in beliefs:
             joint.absorb(belief)
         return joint
@@ -220,7 +221,7 @@ class Estimator:
         for beacon in [*self._beacons.values(), *self._joins.joints()]:
             if beacon.belief is not None and area is not None:
                 beacon.belief.set_area(area)
-                beacon.belief.set_field("prior", self._ground.prior(beacon.beacon_id, self._doubt))
+                beacon.belief.set_field("prior", self._ground.prior(self._ids(beacon), self._doubt))
                 beacon.snapshot = None
                 if beacon in told:
                     outputs.extend(self._target(time_ns, beacon, beacon.belief))
@@ -284,7 +285,7 @@ class Estimator:
         if area is None or frame is None or not beacon.pending:
             return
         batch, beacon.pending = beacon.pending, []
-        belief = beacon.belief or self._new_belief(area, beacon.beacon_id)
+        belief = beacon.belief or self._new_belief(area, self._ids(beacon))
         result = belief.update(
             [observation(heard, place) for heard, place in zip(batch, places_enu(batch, frame), strict=True)]
         )
@@ -293,10 +294,15 @@ class Estimator:
         if belief.windows > 0:
             beacon.belief = belief
 
-    def _new_belief(self, area: SearchArea, beacon_id: int) -> Tracker:
-        tracker = Tracker(area, self._settings.localization.model, self._settings.tracking, beacon_id)
-        tracker.set_field("prior", self._ground.prior(beacon_id, self._doubt))
+    def _new_belief(self, area: SearchArea, beacon_ids: Sequence[int]) -> Tracker:
+        tracker = Tracker(area, self._settings.localization.model, self._settings.tracking, beacon_ids[0])
+        tracker.set_field("prior", self._ground.prior(beacon_ids, self._doubt))
         return tracker
+
+    def _ids(self, beacon: Beacon) -> Sequence[int]:
+        """The ids that it stands for, the one told first; a part of a joint beacon stands for itself."""
+        joint = self._joins.joint_of(beacon.beacon_id) is beacon
+        return self._joins.group_of(beacon.beacon_id) if joint else (beacon.beacon_id,)
 
     @property
     def _doubt(self) -> float:
@@ -369,4 +375,4 @@ class Estimator:
         self._attention.restore(tree["attention"])
         for beacon in [*self._beacons.values(), *self._joins.joints()]:
             if beacon.belief is not None:
-                beacon.belief.set_field("prior", ground.prior(beacon.beacon_id, self._doubt))
+                beacon.belief.set_field("prior", ground.prior(self._ids(beacon), self._doubt))

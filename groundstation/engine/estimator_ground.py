@@ -8,6 +8,8 @@ ground, and what is told says which.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 import shapely
 
@@ -74,15 +76,15 @@ class Ground:
                 return "terrain"
         return "unknown" if mission is None else mission.height_reference
 
-    def prior(self, beacon_id: int, doubt: float) -> Field | None:
-        """What is known of a beacon's place before it is heard; None: nothing, or no area yet."""
+    def prior(self, beacon_ids: Collection[int], doubt: float) -> Field | None:
+        """What is known of a beacon's place, by any of its ids, before it is heard; None: nothing."""
         area, frame, mission = self.area(), self.frame, self.mission
         if area is None or frame is None or mission is None:
             return None
         altitude = frame.origin.altitude_amsl_m
         places = []
         for known in mission.last_known:
-            if known.beacon_id in (None, beacon_id):
+            if known.beacon_id is None or known.beacon_id in beacon_ids:
                 east, north, _ = frame.to_enu(Geodetic(known.latitude_deg, known.longitude_deg, altitude))
                 places.append(LastKnown(east, north, known.radius_m))
         return prior_field(places, area, doubt)

@@ -16,7 +16,8 @@ import pymap3d
 from groundstation.domain.geometry import LocalFrame
 from groundstation.domain.mission import Mission, Terrain
 from groundstation.localization import SearchArea
-from groundstation.localization.problem import BoolArray, FloatArray, GroundHeights
+from groundstation.localization.ground import GroundHeights
+from groundstation.localization.problem import BoolArray, FloatArray
 
 MOST_TIED_M = 30.0
 """Further apart than this home and terrain are not the same ground; nothing is shifted."""

@@ -13,7 +13,14 @@ import orjson
 
 from groundstation.domain.target import TargetState
 from groundstation.export.regions import Region, regions_of
-from groundstation.export.rounding import degrees, iso_time, newest, number
+from groundstation.export.rounding import (
+    PROBABILITY_DECIMALS,
+    degrees,
+    iso_time,
+    joined_ids,
+    newest,
+    number,
+)
 
 
 def encode_geojson(targets: Sequence[TargetState]) -> bytes:
@@ -27,7 +34,7 @@ def encode_geojson(targets: Sequence[TargetState]) -> bytes:
 
 
 def point_feature(target: TargetState) -> dict[str, Any]:
-    """The estimate; ``beacon_id`` and ``time_ns`` are decimal text."""
+    """The estimate; ids and ``time_ns`` are decimal text. New properties come last, known ones stay."""
     place = target.position
     return {
         "type": "Feature",
@@ -50,6 +57,8 @@ def point_feature(target: TargetState) -> dict[str, Any]:
             "method": target.method,
             "height_reference": target.height_reference,
             "covariance_enu_m2": [number(value, 4) for value in target.covariance_enu_m2],
+            "walking_probability": number(target.walking_probability, PROBABILITY_DECIMALS),
+            "joined_beacon_ids": joined_ids(target),
         },
     }
 

@@ -11,7 +11,16 @@ from xml.etree.ElementTree import Element
 from groundstation.domain.target import Environment, TargetState
 from groundstation.export.markup import child, document
 from groundstation.export.regions import Region, regions_of
-from groundstation.export.rounding import degrees, describe, iso_time, newest, number
+from groundstation.export.rounding import (
+    METRE_DECIMALS,
+    PROBABILITY_DECIMALS,
+    degrees,
+    describe,
+    iso_time,
+    joined_ids,
+    newest,
+    number,
+)
 
 _COLOURS = {
     Environment.LOS: "ff50af4c",
@@ -57,18 +66,18 @@ def _placemark(parent: Element, target: TargetState, name: str) -> Element:
 
 def _place(parent: Element, target: TargetState) -> None:
     placemark = _placemark(parent, target, str(target.beacon_id))
-    data = child(placemark, "ExtendedData")
     facts = {
         "beacon_id": str(target.beacon_id),
-        "altitude_amsl_m": _text(number(target.position.altitude_amsl_m)),
-        "radius_90_m": _text(number(target.radius_90_m)),
+        "altitude_amsl_m": _text(target.position.altitude_amsl_m),
+        "radius_90_m": _text(target.radius_90_m),
         "environment": target.environment.name,
         "time_ns": str(target.time_ns),
         "method": target.method,
         "height_reference": target.height_reference,
+        "walking_probability": _text(target.walking_probability, PROBABILITY_DECIMALS),
+        "joined_beacon_ids": " ".join(joined_ids(target)),
     }
-    for name, value in facts.items():
-        child(child(data, "Data", name=name), "value", value)
+    _data(placemark, facts)
     point = child(placemark, "Point")
     child(point, "altitudeMode", "absolute")
     place = target.position
@@ -80,6 +89,12 @@ def _place(parent: Element, target: TargetState) -> None:
 
 def _region(parent: Element, target: TargetState, region: Region) -> None:
     placemark = _placemark(parent, target, f"{region.containment * 100:g} % region")
+    facts = {
+        "beacon_id": str(target.beacon_id),
+        "containment": _text(region.containment, PROBABILITY_DECIMALS),
+        "time_ns": str(target.time_ns),
+    }
+    _data(placemark, facts)
     group = placemark if len(region.polygons) == 1 else child(placemark, "MultiGeometry")
     for outer, *holes in region.polygons:
         polygon = child(group, "Polygon")
@@ -89,9 +104,16 @@ def _region(parent: Element, target: TargetState, region: Region) -> None:
             child(line, "coordinates", corners)
 
 
+def _data(placemark: Element, facts: dict[str, str]) -> None:
+    data = child(placemark, "ExtendedData")
+    for name, value in facts.items():
+        child(child(data, "Data", name=name), "value", value)
+
+
 def _degrees(value_deg: float) -> str:
     return f"{degrees(value_deg):.7f}"
 
 
-def _text(value: float | None) -> str:
-    return "" if value is None else f"{value:.2f}"
+def _text(value: float | None, decimals: int = METRE_DECIMALS) -> str:
+    rounded = number(value, decimals)
+    return "" if rounded is None else f"{rounded:.{decimals}f}"

@@ -13,6 +13,9 @@ from groundstation.domain.target import TargetState
 
 DEGREE_DECIMALS = 7
 METRE_DECIMALS = 2
+PROBABILITY_DECIMALS = 3
+MAY_WALK = 0.2
+"""From this P(walking) on people are told, here as on the page."""
 
 
 def degrees(value_deg: float) -> float:
@@ -47,12 +50,20 @@ def newest(targets: Iterable[TargetState]) -> list[TargetState]:
     return [found[beacon_id] for beacon_id in sorted(found) if found[beacon_id].position.is_valid()]
 
 
+def joined_ids(target: TargetState) -> list[str]:
+    """Other ids of the same transmitter, as the operator said: decimal text, by number."""
+    return [str(beacon_id) for beacon_id in sorted(target.joined_beacon_ids)]
+
+
 def describe(target: TargetState) -> str:
     """One line for people."""
     radius = number(target.radius_90_m, 1)
     within = "uncertain" if radius is None else f"within {radius:g} m (90 %)"
     ground = "" if target.height_reference == "terrain" else f", height from {target.height_reference}"
+    walks = target.walking_probability
+    walking = f", may be walking ({100.0 * walks:.0f} %)" if walks is not None and walks >= MAY_WALK else ""
+    joined = f" with {', '.join(joined_ids(target))}" if target.joined_beacon_ids else ""
     return (
-        f"Beacon {target.beacon_id}: {within}, {target.environment.name}, "
+        f"Beacon {target.beacon_id}{joined}: {within}{walking}, {target.environment.name}, "
         f"{target.los_links} of {target.links} links in line of sight{ground}"
     )

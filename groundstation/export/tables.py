@@ -13,7 +13,14 @@ from typing import Any
 import orjson
 
 from groundstation.domain.target import SnapshotEstimate, TargetState
-from groundstation.export.rounding import degrees, iso_time, newest, number
+from groundstation.export.rounding import (
+    PROBABILITY_DECIMALS,
+    degrees,
+    iso_time,
+    joined_ids,
+    newest,
+    number,
+)
 
 FORMAT = "groundstation-targets"
 FORMAT_VERSION = 1
@@ -26,7 +33,9 @@ def encode_csv(targets: Sequence[TargetState]) -> bytes:
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, list(_COLUMNS), lineterminator="\r\n")
     writer.writeheader()
-    writer.writerows(_row(target) for target in rows)
+    for row in map(_row, rows):
+        # A list in one cell: spaces need no quotes and are no separator of any spreadsheet.
+        writer.writerow({**row, "joined_beacon_ids": " ".join(row["joined_beacon_ids"])})
     return text.getvalue().encode("utf-8", "replace")
 
 
@@ -61,6 +70,8 @@ def _row(target: TargetState) -> dict[str, Any]:
         "last_heard_ns": str(target.last_heard_ns),
         "sequence": target.sequence,
         **{f"covariance_{axes}_m2": number(value, 4) for axes, value in covariance},
+        "walking_probability": number(target.walking_probability, PROBABILITY_DECIMALS),
+        "joined_beacon_ids": joined_ids(target),
     }
 
 
@@ -82,6 +93,8 @@ _COLUMNS = (
     "last_heard_ns",
     "sequence",
     *(f"covariance_{axes}_m2" for axes in _AXES),
+    "walking_probability",
+    "joined_beacon_ids",
 )
 
 

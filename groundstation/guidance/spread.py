@@ -35,7 +35,10 @@ _POINTS = ("east", "north-east", "north", "north-west", "west", "south-west", "s
 
 
 def propose(request: PlanRequest, settings: GuidanceSettings, safety: SafetySettings) -> PlanInput:
-    """Proposals for vehicles that would learn more elsewhere; implements ``plan.Planner``."""
+    """Proposals for vehicles that would learn more elsewhere.
+
+    They have passed the gate, at most one a vehicle; notes say why the others got none.
+    """
     notes: list[str] = []
     vehicles = {state.vehicle_id: state for state in sorted(request.vehicles, key=lambda s: s.vehicle_id)}
     going_to = dict(request.going_to)
@@ -230,15 +233,15 @@ def _proposal(
     frame: LocalFrame,
     settings: GuidanceSettings,
 ) -> Proposal:
-    assert state.position is not None
     assert state.home is not None
-    there, here, center = (frame.to_enu(p) for p in (place, state.position, target.position))
+    there, center = (frame.to_enu(p) for p in (place, target.position))
     azimuth_rad = math.atan2(there[1] - center[1], there[0] - center[0])
     side = _POINTS[round(azimuth_rad / (math.pi / 4.0)) % 8]
-    away_m, leg_m = math.dist(there[:2], center[:2]), math.dist(there, here)
+    away_m = math.dist(there[:2], center[:2])
+    # No way to fly in it: the vehicle flies on meanwhile, and the page counts from where it is.
     reason = (
         f"beacon {target.beacon_id} is known to within {target.radius_90_m:.0f} m: "
-        f"listen from {away_m:.0f} m {side} of the estimate; {leg_m:.0f} m to fly"
+        f"listen from {away_m:.0f} m {side} of the estimate"
     )
     return Proposal(
         # Unique: one plan at a time, one proposal a vehicle; and a replay gets it with the plan.

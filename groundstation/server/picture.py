@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 from groundstation.domain.command import CommandStatus, Proposal, ProposalGone
 from groundstation.domain.errors import InternalError
@@ -27,7 +28,7 @@ from groundstation.domain.target import (
     TargetWaiting,
 )
 from groundstation.domain.vehicle import VehicleState
-from groundstation.server import rows, wire
+from groundstation.server import rows, target_rows, wire
 from groundstation.server.history import Histories
 from groundstation.server.merge import merge
 from groundstation.server.rows import ForwardStatus, StationStatus
@@ -84,14 +85,14 @@ class Picture:
             lambda key: f"{key[0]}:{key[1]}",
         )
         self.targets: Table[int, TargetState | TargetWaiting | TargetJoined, wire.TargetRow] = Table(
-            "target", limits.max_targets, lambda _key, state: _target_row(state)
+            "target", limits.max_targets, lambda _key, state: target_rows.target_row(state)
         )
         # Of each beacon the newest state that had regions: most updates come without.
         self.regions: Table[int, TargetState, wire.RegionsRow] = Table(
-            "regions", limits.max_targets, lambda _key, state: rows.regions_row(state)
+            "regions", limits.max_targets, lambda _key, state: target_rows.regions_row(state)
         )
         self.explanations: Table[int, TargetExplanation, wire.ExplanationRow] = Table(
-            "explanation", limits.max_targets, lambda _key, told: rows.explanation_row(told)
+            "explanation", limits.max_targets, lambda _key, told: target_rows.explanation_row(told)
         )
         # Asked for by those who look at them: never part of the stream.
         self.search_maps: dict[int, SearchMap] = {}
@@ -239,12 +240,11 @@ class Picture:
             or any(table.dirty for table in self._tables())
         )
 
-    def _tables(self) -> tuple[Table[int, VehicleState, wire.VehicleRow], ...]:
-        tables = (
+    def _tables(self) -> tuple[Table[Any, Any, Any], ...]:
+        return (
             self.vehicles, self.links, self.targets, self.regions, self.explanations,
             self.proposals, self.commands, self.connections,
         )  # fmt: skip
-        return tables  # type: ignore[return-value]  # one shape, eight row types
 
     def take_delta(self, server_time_ns: int) -> wire.Delta | None:
         """What changed since the last call, numbered and kept in the ring; None if nothing did."""
@@ -364,9 +364,3 @@ class Picture:
     def mission_row(self) -> wire.MissionRow | None:
         """The mission, if one was set."""
         return rows.mission_row(self._mission) if self._mission else None
-
-
-def _target_row(state: TargetState | TargetWaiting | TargetJoined) -> wire.TargetRow:
-    if isinstance(state, TargetState):
-        return rows.target_row(state)
-    return rows.joined_row(state) if isinstance(state, TargetJoined) else rows.waiting_row(state)

@@ -19,7 +19,6 @@ router = APIRouter()
 logger = logging.getLogger(__name__)
 
 CLOSE_TRY_AGAIN = 1013
-CLOSE_POLICY = 1008
 _SINCE = re.compile(r"^([A-Za-z0-9_.-]{1,128}):([0-9]{1,15})$")
 
 

@@ -268,6 +268,18 @@ class LimitsRow(Model):
     max_leg_m: float = Field(description="Longest leg, metres.")
 
 
+class LastKnownRow(Model):
+    """Where a person was last known to be: a prior of the search, no limit to it."""
+
+    latitude_deg: float = Field(description="Latitude of the middle, degrees north.")
+    longitude_deg: float = Field(description="Longitude of the middle, degrees east.")
+    radius_m: float = Field(
+        description="Radius of the circle that is trusted to hold the person nine times in ten, metres."
+    )
+    name: str = Field(description="Name given by the operator; may be empty.")
+    beacon_id: DecimalString | None = Field(description="The beacon that it is known of; null: any of them.")
+
+
 class MissionRow(Model):
     """What the operator set."""
 
@@ -282,6 +294,7 @@ class MissionRow(Model):
         description="Where the ground's altitude comes from: terrain, home, settings or unknown."
     )
     limits: LimitsRow = Field(description="What the gate allows.")
+    last_known: list[LastKnownRow] = Field(description="Where people were last known to be.")
 
 
 class ForwardRow(Model):

@@ -16,8 +16,11 @@ from groundstation.domain.mission import Area, Mission
 from groundstation.domain.radio import CloseReason, LinkWindow
 from groundstation.domain.target import SearchMap, TargetExplanation, TargetState
 from groundstation.engine.estimator import Estimator
+from groundstation.engine.estimator_beacon import Beacon
+from groundstation.engine.estimator_explanations import due_explanation
 from groundstation.engine.estimator_settings import EstimatorSettings
-from groundstation.tracking import TrackingSettings
+from groundstation.localization import SearchArea
+from groundstation.tracking import Tracker, TrackingSettings
 
 SECOND = 1_000_000_000
 ORIGIN = Geodetic(47.25, -122.5, 120.0)
@@ -30,8 +33,8 @@ def window(vehicle: int, second: int, beacon: int) -> LinkWindow:
     turn = math.pi / 2 * vehicle + 0.1 * second
     place = np.array([90.0 * math.cos(turn), 90.0 * math.sin(turn), 50.0])
     away = TRUTH - place
-    # The third vehicle's compass is off by 8° to the right.
-    turned = -math.radians(8.0) if vehicle == 3 else 0.0
+    # The third vehicle's compass is off by 8° to the right, and its nose 5° higher than it thinks.
+    turned, lifted = (-math.radians(8.0), math.radians(5.0)) if vehicle == 3 else (0.0, 0.0)
     return LinkWindow(
         vehicle_id=vehicle, beacon_id=beacon, start_ns=(second - 1) * SECOND, end_ns=second * SECOND,
         position=FRAME.to_geodetic((float(place[0]), float(place[1]), float(place[2]))),
@@ -39,7 +42,8 @@ def window(vehicle: int, second: int, beacon: int) -> LinkWindow:
         rss_dbm=15.0 - 25.0 * math.log10(float(np.linalg.norm(away))), rss_std_error_db=0.5, rss_count=16,
         noise_dbm=-110.0, frequency_hz=867_500_000, missed_count=0,
         azimuth_rad=math.atan2(away[1], away[0]) + turned, azimuth_std_error_rad=0.01,
-        elevation_rad=math.atan2(away[2], math.hypot(away[0], away[1])), elevation_std_error_rad=0.01,
+        elevation_rad=math.atan2(away[2], math.hypot(away[0], away[1])) + lifted,
+        elevation_std_error_rad=0.01,
         aoa_count=16, captures=(), sensor_los_probability=0.95, close_reason=CloseReason.FULL,
     )  # fmt: skip
 
@@ -87,10 +91,14 @@ def test_a_belief_is_explained_now_and_then_each_vehicle_in_it(outputs: list[Any
 def test_windows_are_counted_and_the_turned_compass_is_found(outputs: list[Any]) -> None:
     last = [output for output in outputs if isinstance(output, TargetExplanation)][-1]
     right, _, wrong = last.contributions
-    assert (wrong.windows + wrong.redundant, right.los_probability) == (11, 0.95)
+    # It flies 9 m a window: none is from a place that was heard from before.
+    assert (wrong.windows, wrong.redundant, right.los_probability) == (11, 0, 0.95)
     assert wrong.azimuth_residual_deg == pytest.approx(8.0, abs=3.0)
     assert abs(right.azimuth_residual_deg or 99.0) < 3.0
     assert (wrong.azimuth_score or 0.0) > abs(right.azimuth_score or 0.0)
+    # Above the estimate is positive, for people as in mathematics.
+    assert 1.5 < (wrong.elevation_residual_deg or 0.0) < 6.0
+    assert (wrong.elevation_score or 0.0) > abs(right.elevation_score or 0.0)
 
 
 def test_many_beacons_take_turns_and_cost_no_more() -> None:
@@ -106,6 +114,24 @@ def test_many_beacons_take_turns_and_cost_no_more() -> None:
     # At the end all are.
     final = estimator.handle(4 * SECOND, SessionInput("ended", "1"))
     assert sorted(o.beacon_id for o in final if isinstance(o, TargetExplanation)) == list(beacons)
+
+
+def test_who_has_waited_longest_is_explained_next() -> None:
+    area = SearchArea(np.array([0.0, 0.0]), 100.0, 0.0, 10.0)
+    belief = Tracker(area, SETTINGS.localization.model, SETTINGS.tracking, 7)
+    beacons = [
+        Beacon(beacon_id, 0, 0, belief=belief, sequence=2, explained_ns=explained_ns, explained_sequence=1)
+        for beacon_id, explained_ns in ((5, 30 * SECOND), (6, None), (7, 10 * SECOND), (8, 59 * SECOND))
+    ]
+    order = []
+    for second in (60, 61, 62):
+        due = due_explanation(beacons, second * SECOND, (second - 1) * SECOND, SETTINGS)
+        assert due is not None
+        due.explained_ns, due.explained_sequence = second * SECOND, due.sequence
+        order.append(due.beacon_id)
+    # Never explained, 10 s, 30 s; the fourth was explained a moment ago and the others are not due again.
+    assert order == [6, 7, 5]
+    assert due_explanation(beacons, 62 * SECOND + 1, 62 * SECOND, SETTINGS) is None
 
 
 def test_the_map_comes_with_the_regions_and_lies_where_the_belief_is(outputs: list[Any]) -> None:

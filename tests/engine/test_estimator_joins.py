@@ -11,7 +11,7 @@ import pytest
 from groundstation.domain.events import Event
 from groundstation.domain.geometry import Geodetic, LocalFrame
 from groundstation.domain.inputs import JoinInput, MissionInput, SessionInput, TickInput
-from groundstation.domain.mission import Area, Mission
+from groundstation.domain.mission import Area, LastKnownPlace, Mission
 from groundstation.domain.radio import CloseReason, LinkWindow
 from groundstation.domain.target import SearchMap, TargetJoined, TargetState
 from groundstation.engine.estimator import Estimator
@@ -41,7 +41,7 @@ def window(vehicle: int, second: int, beacon: int) -> LinkWindow:
     )  # fmt: skip
 
 
-def mission() -> MissionInput:
+def mission(revision: int = 1, last_known: tuple[LastKnownPlace, ...] = ()) -> MissionInput:
     ring = tuple(
         (place.latitude_deg, place.longitude_deg)
         for place in (
@@ -50,7 +50,15 @@ def mission() -> MissionInput:
         )
     )
     return MissionInput(
-        Mission(1, ORIGIN, Area(((ring,),)), ground_amsl_m=584.0, height_reference="home"), "test"
+        Mission(
+            revision,
+            ORIGIN,
+            Area(((ring,),)),
+            ground_amsl_m=584.0,
+            height_reference="home",
+            last_known=last_known,
+        ),
+        "test",
     )
 
 
@@ -117,6 +125,34 @@ def test_the_joint_belief_is_that_of_one_beacon_heard_all_the_time() -> None:
     assert joint.radius_90_m < alone.radius_90_m
 
 
+def test_a_last_known_place_of_any_of_its_ids_counts_for_the_joint_beacon() -> None:
+    hut = FRAME.to_geodetic((-30.0, 40.0, 0.0))
+    known = (LastKnownPlace(hut.latitude_deg, hut.longitude_deg, 5.0, "hut", NEW),)
+    plain, told = ran((1, 1, OLD), (2, 2, NEW)), Estimator(SETTINGS, None)
+    told.handle(0, mission(last_known=known))
+    hear(told, 1, 1, OLD)
+    hear(told, 2, 2, NEW)
+    join = JoinInput("ann", NEW, OLD)
+    free, drawn = (of(estimator.handle(3 * SECOND, join), OLD)[0] for estimator in (plain, told))
+
+    def away_m(state: TargetState) -> float:
+        east, north, _ = FRAME.to_enu(state.position)
+        return math.hypot(east + 30.0, north - 40.0)
+
+    assert away_m(drawn) < 0.7 * away_m(free)
+    # A mission that takes it back, or gives it again, reaches the joint beacon too; a restart keeps it.
+    assert away_m(of(told.handle(4 * SECOND, mission(2)), OLD)[0]) == pytest.approx(away_m(free), abs=3.0)
+    again = of(told.handle(5 * SECOND, mission(3, known)), OLD)[0]
+    assert away_m(again) == pytest.approx(away_m(drawn), abs=3.0)
+    other = Estimator(SETTINGS, None)
+    other.restore(told.state())
+    assert hear(other, 6, 7, NEW) == hear(told, 6, 7, NEW)
+    # Separated, it says nothing of the id that it was not said of.
+    apart = of(told.handle(8 * SECOND, JoinInput("ann", NEW, None)), OLD)[0]
+    alone = of(hear(ran(), 1, 1, OLD), OLD)[-1]
+    assert away_m(apart) == pytest.approx(away_m(alone), abs=3.0)
+
+
 def test_a_join_is_taken_back_and_nothing_was_lost() -> None:
     apart = ran((1, 6, OLD), (7, 10, NEW))
     joined = ran((1, 6, OLD), (7, 10, NEW))
@@ -138,8 +174,11 @@ def test_a_join_is_taken_back_and_nothing_was_lost() -> None:
 
 
 def test_three_ids_become_one_and_the_rest_stays_joined() -> None:
-    estimator = ran((1, 4, OLD), (5, 8, NEW), (9, 12, THIRD))
-    estimator.handle(13 * SECOND, JoinInput("ann", NEW, OLD))
+    estimator = ran((1, 3, OLD))
+    alone = of(hear(estimator, 4, 4, OLD), OLD)[-1]
+    hear(estimator, 5, 8, NEW)
+    hear(estimator, 9, 12, THIRD)
+    two = of(estimator.handle(13 * SECOND, JoinInput("ann", NEW, OLD)), OLD)[0]
     # Joined into one that is joined itself: they are all the first one's.
     state = of(estimator.handle(14 * SECOND, JoinInput("ann", THIRD, NEW)), OLD)[0]
     assert state.joined_beacon_ids == (THIRD, NEW)
@@ -147,6 +186,8 @@ def test_three_ids_become_one_and_the_rest_stays_joined() -> None:
     outputs = estimator.handle(15 * SECOND, JoinInput("ann", NEW, None))
     (rest,), (new,) = of(outputs, OLD), of(outputs, NEW)
     assert (rest.joined_beacon_ids, rest.windows, new.windows) == ((THIRD,), 32, 16)
+    # A page takes the highest number for the newest, whatever was joined and separated.
+    assert alone.sequence < two.sequence < state.sequence < rest.sequence
 
 
 def test_one_that_others_are_joined_into_takes_them_along() -> None:

@@ -12,7 +12,15 @@ import pytest
 
 from groundstation.domain.events import Event
 from groundstation.domain.geometry import Geodetic, LocalFrame
-from groundstation.domain.inputs import Direction, FrameInput, MissionInput, Record, SessionInput, TickInput
+from groundstation.domain.inputs import (
+    Direction,
+    FrameInput,
+    JoinInput,
+    MissionInput,
+    Record,
+    SessionInput,
+    TickInput,
+)
 from groundstation.domain.mission import Area, LastKnownPlace, Mission, Terrain
 from groundstation.domain.radio import CloseReason, LinkWindow, Listener, Listening
 from groundstation.domain.target import TargetState
@@ -209,6 +217,28 @@ def test_what_the_other_one_did_not_hear_moves_the_belief_away_from_it() -> None
     (share, east), (share_silent, east_silent) = share_near(False), share_near(True)
     assert share_silent > 1.25 * share
     assert east_silent < east - 5.0
+
+
+def test_a_joint_beacon_spoke_when_any_of_its_ids_was_heard() -> None:
+    def east_of(listens: bool) -> float:
+        inputs: list[tuple[int, Any]] = []
+        for time_ns, item in story(44, listens=listens):
+            if time_ns >= 6 * SECOND and isinstance(item, LinkWindow):
+                item = replace(item, beacon_id=78)
+            if time_ns >= 6 * SECOND and isinstance(item, Listening):
+                renamed = tuple(
+                    replace(ear, packets=tuple((78, packets) for _, packets in ear.packets))
+                    for ear in item.listeners
+                )
+                item = replace(item, listeners=renamed)
+            inputs.append((time_ns, item))
+        inputs.append((7 * SECOND, JoinInput("ann", 78, 77)))
+        told = play(Estimator(SETTINGS, None), sorted(inputs, key=lambda entry: entry[0]))
+        return east_m(
+            [state for state in told if isinstance(state, TargetState) and state.beacon_id == 77][-1]
+        )
+
+    assert east_of(True) < east_of(False) - 5.0
 
 
 def test_state_goes_on_bit_for_bit_with_silences_priors_and_terrain() -> None:

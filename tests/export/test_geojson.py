@@ -32,6 +32,18 @@ def test_the_contract(belief: Belief) -> None:
     assert shape(circle["geometry"]).contains(shape(point["geometry"]))
 
 
+def test_joined_ids_and_a_walk_come_last_and_disturb_nothing(belief: Belief) -> None:
+    plain = json.loads(encode_geojson([belief()]))["features"][0]["properties"]
+    assert list(plain)[-2:] == ["walking_probability", "joined_beacon_ids"]
+    assert (plain["walking_probability"], plain["joined_beacon_ids"]) == (None, [])
+    told = belief(walking_probability=0.61249, joined_beacon_ids=(2**64 - 2, 5))
+    point, region = json.loads(encode_geojson([told]))["features"]
+    assert point["properties"]["walking_probability"] == 0.612
+    assert point["properties"]["joined_beacon_ids"] == ["5", "18446744073709551614"]
+    assert {**point["properties"], "walking_probability": None, "joined_beacon_ids": []} == plain
+    assert region["properties"]["containment"] == 0.9
+
+
 def test_regions_of_tracking(belief: Belief, ring: MakeRing) -> None:
     regions = ((0.5, (ring(1, 1, 0.1),)), (0.9, (ring(1, 1, 0.2), ring(3, 3, 0.1))))
     document = json.loads(encode_geojson([belief(regions=regions)]))

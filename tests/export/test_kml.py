@@ -33,6 +33,11 @@ def test_places_and_regions(belief: Belief, ring: MakeRing) -> None:
     }
     assert data["radius_90_m"] == "8.46"
     assert data["method"] == "posterior <&>"
+    assert (data["walking_probability"], data["joined_beacon_ids"]) == ("", "")
+    shares = [
+        item.xpath(".//k:Data[@name='containment']/k:value/text()", namespaces=KML) for item in (half, most)
+    ]
+    assert shares == [["0.500"], ["0.900"]]
     assert len(half.findall("k:Polygon/k:innerBoundaryIs", KML)) == 1
     assert len(most.findall("k:MultiGeometry/k:Polygon", KML)) == 2
     for line in root.iterfind(".//k:LinearRing/k:coordinates", KML):
@@ -58,6 +63,26 @@ def test_every_style_that_is_used_is_there_and_children_stand_in_the_schemas_ord
     for placemark in root.iterfind(".//k:Placemark", KML):
         places = [order.index(etree.QName(item).localname) for item in placemark]
         assert places == sorted(places)
+
+
+def test_joined_ids_and_a_walk_are_told_to_people_and_programs(belief: Belief) -> None:
+    told = belief(walking_probability=0.61249, joined_beacon_ids=(2**64 - 2, 5))
+    root = etree.fromstring(encode_kml([told]))
+    values = {
+        name: root.xpath(f"//k:Data[@name='{name}']/k:value/text()", namespaces=KML)
+        for name in ("walking_probability", "joined_beacon_ids")
+    }
+    assert values == {
+        "walking_probability": ["0.612"],
+        "joined_beacon_ids": ["5 18446744073709551614"],
+    }
+    lines = root.xpath("//k:description/text()", namespaces=KML)
+    assert lines
+    for line in lines:
+        assert "may be walking (61 %)" in line
+        assert "with 5, 18446744073709551614:" in line
+    still = etree.fromstring(encode_kml([belief(walking_probability=0.19)]))
+    assert not any("walking" in line for line in still.xpath("//k:description/text()", namespaces=KML))
 
 
 @pytest.mark.parametrize("text", ["<b>&\"'", "bell \x07", "lone \ud800", "漢字 😀"])

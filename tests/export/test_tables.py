@@ -28,6 +28,17 @@ def test_csv_has_every_belief_in_order(belief: Belief) -> None:
     assert rows[0]["latitude_deg"] == "-35.3625123"
 
 
+def test_csv_and_json_tell_joined_ids_and_a_walk_in_their_last_columns(belief: Belief) -> None:
+    told = belief(walking_probability=0.61249, joined_beacon_ids=(2**64 - 2, 5))
+    rows = list(csv.DictReader(io.StringIO(encode_csv([told, belief(beacon_id=9)]).decode(), newline="")))
+    assert list(rows[0])[-2:] == ["walking_probability", "joined_beacon_ids"]
+    cells = [(row["walking_probability"], row["joined_beacon_ids"]) for row in rows]
+    assert cells == [("", ""), ("0.612", "5 18446744073709551614")]
+    (item,) = json.loads(encode_json([told]))["targets"]
+    assert item["walking_probability"] == 0.612
+    assert item["joined_beacon_ids"] == ["5", "18446744073709551614"]
+
+
 def test_csv_of_nothing_has_its_header_and_quotes_survive(belief: Belief) -> None:
     assert encode_csv([]).startswith(b"beacon_id,time_ns,time,latitude_deg,longitude_deg,altitude_amsl_m,")
     odd = 'a,"b"\nc'

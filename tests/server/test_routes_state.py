@@ -107,7 +107,8 @@ async def test_the_newest_search_map_is_given_with_its_georeference(
     assert (found["west_m"], found["north_m"]) == (-10.0, 4.0)
     assert (found["origin_latitude_deg"], found["origin_longitude_deg"]) == (-35.3625, 149.1654)
     assert found["corners_deg"] == [[2.0, 1.0], [3.0, 1.0], [3.0, 0.5], [2.0, 0.5]]
-    assert (found["north_west_latitude_deg"], found["south_east_longitude_deg"]) == (1.0, 3.0)
+    assert (found["north_west_latitude_deg"], found["north_west_longitude_deg"]) == (1.0, 2.0)
+    assert (found["south_east_latitude_deg"], found["south_east_longitude_deg"]) == (0.5, 3.0)
     # It goes with the estimate that it belongs to, and never rides on the stream.
     hub.apply(TargetWaiting(9, 5, 4, 1, "a vehicle must hear it"))
     assert (await client.get("/api/v1/targets/9/search-map")).status_code == 404
@@ -186,6 +187,20 @@ async def test_history_comes_from_the_database_where_there_is_one(hub: Hub, acti
         answer = (await client.get("/api/v1/targets/9/history?since_ns=3&limit=7")).json()
     assert answer["points"] == [known.model_dump()]
     assert asked == [(9, 3, 7)]
+
+
+async def test_until_the_database_has_a_row_the_picture_s_own_history_is_given(
+    hub: Hub, actions: Any, make: Any
+) -> None:
+    hub.apply(make.target(9, time_ns=2_000))
+
+    async def database(_beacon_id: int, _since_ns: int, _limit: int) -> Sequence[HistoryPoint]:
+        return []
+
+    app = create_app(hub, actions, Sources(history=database), page_directory=None)
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
+        answer = (await client.get("/api/v1/targets/9/history")).json()
+    assert [point["time_ns"] for point in answer["points"]] == ["2000"]
 
 
 async def test_a_joined_beacon_says_into_whom(client: httpx.AsyncClient, hub: Hub, make: Any) -> None:

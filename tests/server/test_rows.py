@@ -1,4 +1,4 @@
-"""Domain to wire: what is not a number or not a place becomes null, big integers become strings."""
+"""Domain to wire: what is not a number or not a place becomes null."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from groundstation.domain.geometry import Geodetic
+from groundstation.domain.mission import LastKnownPlace, Mission
 from groundstation.server import rows
 
 
@@ -28,11 +29,19 @@ def test_nothing_that_json_cannot_carry_leaves(make: Any) -> None:
         make.vehicle(battery_percent=math.nan, height_above_home_m=math.inf, position=Geodetic(0.0, 0.0, 0.0))
     )
     assert (row.battery_percent, row.height_above_home_m, row.position) == (None, None, None)
-    broken = rows.target_row(make.target(radius_90_m=math.nan, covariance_enu_m2=(math.nan,) * 6))
-    assert (broken.radius_90_m, broken.covariance_enu_m2) == (None, None)
 
 
-def test_integers_beyond_2_53_are_decimal_strings(make: Any) -> None:
-    row = rows.target_row(make.target(beacon_id=2**64 - 1, time_ns=1_795_312_345_678_901_234))
-    assert row.beacon_id == "18446744073709551615"
-    assert row.time_ns == "1795312345678901234"
+def test_last_known_places_ride_with_the_mission() -> None:
+    places = (LastKnownPlace(47.0, 8.5, 80.0, "hut", 2**64 - 1), LastKnownPlace(47.1, 8.6, 250.5))
+    row = rows.mission_row(Mission(last_known=places))
+    assert [place.model_dump() for place in row.last_known] == [
+        {
+            "latitude_deg": 47.0,
+            "longitude_deg": 8.5,
+            "radius_m": 80.0,
+            "name": "hut",
+            "beacon_id": "18446744073709551615",
+        },
+        {"latitude_deg": 47.1, "longitude_deg": 8.6, "radius_m": 250.5, "name": "", "beacon_id": None},
+    ]
+    assert rows.mission_row(Mission()).last_known == []

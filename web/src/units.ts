@@ -74,6 +74,11 @@ export function compass(from: Place, to: Place): string {
   return POINTS[Math.round(turn * 8) % 8] ?? "N";
 }
 
+/** A number and its unit stay on one line. */
+export function unbroken(text: string): string {
+  return text.replace(/(\d) (?=(?:m|km|s|min|dB|dBm)\b|%)/g, "$1\u00a0");
+}
+
 /** Ids of radios are long: the last digits tell them apart, the whole stands in the title. */
 export function shortId(beacon_id: string): string {
   return beacon_id.length > 8 ? `…${beacon_id.slice(-6)}` : beacon_id;

@@ -1,5 +1,5 @@
 // Messages for tests, as small as the types allow.
-import type { Delta, EventRow, Heartbeat, LinkRow, ProposalRow, RegionsRow, Rows, Snapshot, TargetRow, VehicleRow } from "../src/wire";
+import type { Delta, EventRow, ExplanationRow, Heartbeat, LastKnownRow, LinkRow, MissionRow, ProposalRow, RegionsRow, Rows, Snapshot, TargetRow, VehicleRow } from "../src/wire";
 
 export const rows = (changes: Partial<Rows> = {}): Rows => ({
   vehicles: [], links: [], targets: [], regions: [], explanations: [], proposals: [], commands: [], connections: [], counters: [],
@@ -53,3 +53,15 @@ export const proposal = (proposal_id: string, vehicle_id: number, beacon_id: str
   proposal_id, vehicle_id, beacon_id, position: { latitude_deg: 0.5, longitude_deg: 10, altitude_amsl_m: 50 }, height_above_home_m: 50,
   reason: "why", created_ns: `${created_s}000000000`, expires_ns: "999000000000", mission_revision: 1, target_sequence: 1,
 });
+
+export const lastKnown = (changes: Partial<LastKnownRow> = {}): LastKnownRow => ({
+  latitude_deg: 0.5, longitude_deg: 10, radius_m: 80, name: "", beacon_id: null, ...changes,
+});
+
+export const mission = (changes: Partial<MissionRow> = {}): MissionRow => ({
+  revision: 1, origin: null, search_area: null, fence: null, target_height_min_m: 0, target_height_max_m: 20, ground_amsl_m: null,
+  height_reference: "unknown", last_known: [],
+  limits: { floor_m: 20, ceiling_m: 120, separation_m: 15, fence_margin_m: 5, stale_pose_s: 3, max_leg_m: 2000 }, ...changes,
+});
+
+export const explanation = (beacon_id: string, sequence: number): ExplanationRow => ({ beacon_id, time_ns: "1", sequence, contributions: [] });

@@ -1,10 +1,13 @@
 // What the layers make of the picture.
 import { expect, test } from "vitest";
+import { shifted } from "../src/map/geometry";
 import { links } from "../src/map/links";
+import { lastKnown as places, middleOf, placesOf } from "../src/map/places";
 import { regions as layer, regionsOf } from "../src/map/regions";
 import { Store } from "../src/store";
+import { distance_m } from "../src/units";
 import type { Rows } from "../src/wire";
-import { delta, link, regions, rows, snapshot, target, vehicle } from "./builders";
+import { delta, lastKnown, link, mission, regions, rows, snapshot, target, vehicle } from "./builders";
 
 const view = (selected = "") => ({
   bounds: { west: 9, east: 11, south: 0, north: 1 }, origin: { latitude_deg: 0.5, longitude_deg: 10, altitude_amsl_m: 0 }, width_px: 900, selected,
@@ -55,4 +58,34 @@ test("what is picked stays clear and the rest steps back", () => {
   const areas = (selected: string) => layer.data(store, view(selected)).features.map(({ properties }) => properties?.["dim"] as boolean);
   expect(areas("link:1:8")).toEqual([true, true, true, false, false, false]);
   expect(areas("vehicle:1").some(Boolean)).toBe(false);
+});
+
+test("a last known place is a circle of its radius, with its name, its radius and its beacon", () => {
+  const [longitude_deg, latitude_deg] = shifted(middleOf(lastKnown()), 300, -200);
+  const known = lastKnown({ latitude_deg, longitude_deg, radius_m: 80, name: "hut", beacon_id: "7205759403792793601" });
+  const [ring, label] = places.data(storeOf({ mission: mission({ last_known: [known] }) }), view()).features;
+  const corners = ring?.geometry.type === "Polygon" ? (ring.geometry.coordinates[0] ?? []) : [];
+  expect(corners.length).toBeGreaterThan(30);
+  for (const [lon, lat] of corners) expect(distance_m(middleOf(known), { latitude_deg: lat ?? 0, longitude_deg: lon ?? 0, altitude_amsl_m: 0 })).toBeCloseTo(80, 3);
+  expect(label?.properties?.["label"]).toBe("hut: last known, 80 m\nbeacon …793601");
+  expect(ring?.properties?.["tip"]).toContain("hut\nwithin 80 m nine times in ten");
+  expect(ring?.properties?.["select"]).toBe("target:7205759403792793601");
+  const [, anyone] = places.data(storeOf({ mission: mission({ last_known: [lastKnown({ radius_m: 12_500 })] }) }), view()).features;
+  expect(anyone?.properties?.["label"]).toBe("last known, 12.5 km");
+  expect(anyone?.properties?.["tip"]).toContain("of any beacon");
+  expect(places.data(storeOf({}), view()).features).toEqual([]);
+});
+
+test("a place belongs to its beacon, to the one it is joined into, or to all", () => {
+  const last_known = [lastKnown({ beacon_id: "7" }), lastKnown({ beacon_id: "8" }), lastKnown()];
+  const joined = { ...target("7"), joined_beacon_ids: ["8"] };
+  const alone = target("9");
+  const store = storeOf({ targets: [joined, alone], mission: mission({ last_known }) });
+  expect(placesOf(store, joined)).toEqual(last_known);
+  expect(placesOf(store, alone)).toEqual([last_known[2]]);
+  const dim = (selected: string) => places.data(store, view(selected)).features.map(({ properties }) => properties?.["dim"] as boolean);
+  expect(dim("")).toEqual([false, false, false, false, false, false]);
+  expect(dim("target:7").some(Boolean)).toBe(false);
+  expect(dim("link:3:9")).toEqual([true, true, true, true, false, false]);
+  expect(dim("vehicle:3").some(Boolean)).toBe(false);
 });

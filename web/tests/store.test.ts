@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { Store } from "../src/store";
-import { delta, event, heartbeat, link, rows, snapshot, vehicle } from "./builders";
+import { delta, event, explanation, heartbeat, link, rows, snapshot, vehicle } from "./builders";
 
 test("a delta that follows is taken, one that leaves a gap is not", () => {
   const store = new Store();
@@ -25,6 +25,17 @@ test("another epoch's delta and a heartbeat ahead of us mean that something is m
   expect(store.apply(delta(5, { epoch: "other" }))).toBe("gap");
   expect(store.apply(heartbeat(5))).toBe("gap");
   expect(store.apply(heartbeat(4))).toBe("ok");
+});
+
+test("why a belief is what it is comes, is renewed and goes with its beacon's estimate", () => {
+  const store = new Store();
+  store.apply(snapshot(4, { rows: rows({ explanations: [explanation("7", 1)] }) }));
+  store.apply(delta(5, { rows: rows({ explanations: [explanation("7", 2), explanation("8", 1)] }) }));
+  expect([...store.explanations.values()].map(({ beacon_id, sequence }) => `${beacon_id}/${sequence}`)).toEqual(["7/2", "8/1"]);
+  const before = store.version("explanations");
+  store.apply(delta(6, { removed: [{ kind: "explanation", key: "7", reason: "no estimate" }] }));
+  expect([...store.explanations.keys()]).toEqual(["8"]);
+  expect(store.version("explanations")).toBe(before + 1);
 });
 
 test("rows removed are gone, and removed before rows of the same delta", () => {

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { age, clockTime, compass, coordinates, dbm, distance_m, heardAge, metres, milliseconds, percent, shortId } from "../src/units";
+import { age, clockTime, compass, coordinates, dbm, distance_m, heardAge, metres, milliseconds, percent, shortId, unbroken } from "../src/units";
 
 const origin = { latitude_deg: -35.3625, longitude_deg: 149.1654, altitude_amsl_m: 584 };
 
@@ -9,6 +9,11 @@ test("every number carries its unit, and what is unknown is a dash", () => {
   expect(dbm(-71.6)).toBe("-72 dBm");
   expect(percent(0)).toBe("0 %");
   for (const text of [metres(null), metres(Number.NaN), dbm(null), percent(undefined), age(null)]) expect(text).toBe("–");
+});
+
+test("a number is never parted from its unit at the end of a line", () => {
+  expect(unbroken("within 31 m: listen from 4 km away, 6.4 dB, 90 % in 2 min")).toBe("within 31\u00a0m: listen from 4\u00a0km away, 6.4\u00a0dB, 90\u00a0% in 2\u00a0min");
+  expect(unbroken("beacon 7 may walk 3 more")).toBe("beacon 7 may walk 3 more");
 });
 
 test("ages grow from seconds to hours and never go below zero", () => {

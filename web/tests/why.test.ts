@@ -3,11 +3,11 @@ import { expect, test } from "vitest";
 import { Fetched } from "../src/fetched";
 import { CLASSES, classOf, pixels, wanted } from "../src/map/searchmap";
 import { curveOf } from "../src/panels/curve";
-import { reasonsOf } from "../src/panels/reasons";
+import { lastKnownText, reasonsOf } from "../src/panels/reasons";
 import { Store } from "../src/store";
 import { palettes } from "../src/themes/palette";
 import type { ContributionRow, HistoryPoint, SearchMap } from "../src/wire";
-import { regions, rows, snapshot, target } from "./builders";
+import { lastKnown, regions, rows, snapshot, target } from "./builders";
 
 const contribution = (changes: Partial<ContributionRow>): ContributionRow => ({
   vehicle_id: 1, weight: 0.5, area_factor: 2, windows: 40, redundant: 0, outliers: 0, power_residual_db: 6.4, power_score: 1.3,
@@ -20,11 +20,15 @@ const said = (changes: Partial<ContributionRow>): string => {
 };
 
 test("a vehicle's part is said in whole percent, with its sign", () => {
-  expect(said({ weight: 0.424 })).toBe("42 %: without it the area would be 2.0 × as large; hears it 6 dB stronger than the estimate explains; line of sight 10 % [40 windows]");
+  expect(said({ weight: 0.424 })).toBe("42 %: without it the area would be 2.0 × as large; hears it 6 dB stronger than the estimate explains; line of sight: 10 % likely [40 windows]");
   expect(said({ power_residual_db: -8.6, power_score: -2.2 })).toContain("!hears it 9 dB weaker than the estimate explains – unusual");
   expect(said({ power_score: 3.4 })).toContain("– does not fit");
   expect(said({ weight: 0.001, area_factor: 1.01 })).toMatch(/^under 1 %: adds little/);
   expect(said({ windows: 1, redundant: 3, outliers: 2 })).toContain("[1 window, 3 more from the same places, 2 doubtful, weighed down]");
+});
+
+test("what is to be looked at comes first", () => {
+  expect(said({ power_score: 3.4 })).toMatch(/^50 %: !hears it 6 dB stronger than the estimate explains – does not fit; without it/);
 });
 
 test("what is within its spread is no news", () => {
@@ -40,14 +44,24 @@ test("one that contradicts the others says so first", () => {
 test("a bearing points to a side, and is only odd where there should be line of sight", () => {
   const turned = { azimuth_residual_deg: 11.2, azimuth_score: 3.5, elevation_residual_deg: -2.1, elevation_score: -1.2 };
   expect(said({ ...turned, los_probability: 0.9 })).toContain("!its bearing points 11° to the right of and 2.1° below the estimate – does not fit");
-  expect(said({ ...turned, los_probability: 0.2 })).toContain("; its bearing points 11° to the right of");
+  expect(said({ ...turned, los_probability: 0.2 })).toContain("; its bearing counts little (a reflection);");
+  expect(said({ ...turned, los_probability: null })).toContain("; its bearing points 11° to the right of and 2.1° below the estimate;");
   expect(said({ ...turned, azimuth_score: -0.4, elevation_score: 0.1, los_probability: 0.9 })).toContain("its bearing fits the estimate (±28°)");
-  expect(said({ ...turned, azimuth_residual_deg: -4, azimuth_score: -1.4, elevation_score: 0.1 })).toContain("4.0° to the left of the estimate");
+  expect(said({ ...turned, azimuth_residual_deg: -4, azimuth_score: -1.4, elevation_score: 0.1, los_probability: 0.9 })).toContain("4.0° to the left of the estimate");
 });
 
 test("the most telling vehicle comes first", () => {
   const order = reasonsOf([contribution({ vehicle_id: 4, weight: 0.1 }), contribution({ vehicle_id: 2, weight: 0.6 }), contribution({ vehicle_id: 1, weight: 0.1 })]);
   expect(order.map(({ vehicle_id }) => vehicle_id)).toEqual([2, 1, 4]);
+});
+
+test("a last known place is told in metres, and where the estimate lies from it", () => {
+  const row = target("7");
+  const hut = lastKnown({ latitude_deg: 0.5 + 120 / 111_320, name: "hut", beacon_id: "7" });
+  expect(lastKnownText(hut, row)).toBe("Last known: hut, within 80 m · the estimate is 120 m S of its middle");
+  expect(lastKnownText({ ...hut, name: "", beacon_id: null }, { ...row, position: null })).toBe("Last known: within 80 m (any beacon)");
+  expect(lastKnownText({ ...hut, beacon_id: "7205759403792793601" }, row)).toContain("within 80 m (of …793601) · ");
+  expect(lastKnownText(lastKnown(), row)).toContain("the estimate is its middle");
 });
 
 const point = (time_s: number, radius_90_m: number | null): HistoryPoint => ({
@@ -94,6 +108,21 @@ test("the picked beacon's map is drawn alone", () => {
   expect(wanted(store, "")).toEqual(["8", "7"]);
   expect(wanted(store, "target:7")).toEqual(["7"]);
   expect(wanted(store, "link:3:8")).toEqual(["8"]);
+});
+
+test("a map that is the newest is not asked for again", async () => {
+  let now = 0;
+  const asked: string[] = [];
+  const fetched = new Fetched(() => undefined, () => now, async (path) => {
+    asked.push(path);
+    return map({ time_ns: "100" });
+  });
+  fetched.wantMap("7", "100");
+  await new Promise((done) => setTimeout(done, 0));
+  now = 60_000;
+  fetched.wantMap("7", "100");
+  await new Promise((done) => setTimeout(done, 0));
+  expect(asked).toHaveLength(1);
 });
 
 test("a map is asked for when a newer one was drawn, and stays when the station is gone", async () => {

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from http import HTTPStatus
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from fastapi import APIRouter, Query, Response
 
 from groundstation.domain.target import SearchMap
-from groundstation.server import rest, rows
+from groundstation.server import rest, rows, target_rows
 from groundstation.server.problems import ProblemError
 from groundstation.server.routes.common import BeaconPath, HubDep, SourcesDep, problems
 from groundstation.server.wire import SCHEMA_VERSION, ExplanationRow, RegionsRow, TargetRow
 
 router = APIRouter(prefix="/api/v1", tags=["state"])
+
+Found = TypeVar("Found")
 
 
 @router.get("/targets")
@@ -41,27 +44,35 @@ async def target(hub: HubDep, beacon_id: BeaconPath) -> TargetRow:
     return _target(hub, beacon_id)
 
 
-def _why_not(row: TargetRow, else_: str) -> str:
+def _of_beacon(
+    hub: HubDep, beacon_id: str, found: Found | None, code: str, missing: str, else_: str
+) -> Found:
+    """``found``, or a problem with the reason why a beacon has none; ``else_`` when it is located."""
+    row = _target(hub, beacon_id)
+    if found is not None:
+        return found
     if row.state == "joined":
-        return f"it is joined into beacon {row.joined_into}, see there"
-    return row.needed if row.state == "waiting" else else_
+        why = f"it is joined into beacon {row.joined_into}, see there"
+    else:
+        why = row.needed if row.state == "waiting" else else_
+    raise ProblemError(HTTPStatus.NOT_FOUND, code, f"{missing}: {why}")
 
 
 def _search_map(hub: HubDep, beacon_id: str) -> SearchMap:
-    row = _target(hub, beacon_id)
-    found = hub.picture.search_maps.get(int(beacon_id))
-    if found is None:
-        why = _why_not(row, "none was drawn yet, see its radius_90_m")
-        raise ProblemError(
-            HTTPStatus.NOT_FOUND, "no-search-map", f"there is no search map of beacon {beacon_id}: {why}"
-        )
-    return found
+    return _of_beacon(
+        hub,
+        beacon_id,
+        hub.picture.search_maps.get(int(beacon_id)),
+        "no-search-map",
+        f"there is no search map of beacon {beacon_id}",
+        "none was drawn yet, see its radius_90_m",
+    )
 
 
 @router.get("/targets/{beacon_id}/search-map", responses=problems(404, 422))
 async def search_map(hub: HubDep, beacon_id: BeaconPath) -> rest.SearchMap:
     """Where the beacon could be, as a raster with its georeference: the newest one drawn."""
-    return rows.search_map(_search_map(hub, beacon_id), hub.clock())
+    return target_rows.search_map(_search_map(hub, beacon_id), hub.clock())
 
 
 @router.get(
@@ -90,14 +101,14 @@ async def search_map_file(hub: HubDep, sources: SourcesDep, beacon_id: BeaconPat
 @router.get("/targets/{beacon_id}/explanation", responses=problems(404, 422))
 async def explanation(hub: HubDep, beacon_id: BeaconPath) -> ExplanationRow:
     """Why the belief is what it is: each vehicle's weight and how well it agrees."""
-    row = _target(hub, beacon_id)
-    found = hub.picture.explanations.row(int(beacon_id))
-    if found is None:
-        why = _why_not(row, "it was not worked out yet")
-        raise ProblemError(
-            HTTPStatus.NOT_FOUND, "no-explanation", f"beacon {beacon_id} cannot be explained: {why}"
-        )
-    return found
+    return _of_beacon(
+        hub,
+        beacon_id,
+        hub.picture.explanations.row(int(beacon_id)),
+        "no-explanation",
+        f"beacon {beacon_id} cannot be explained",
+        "it was not worked out yet",
+    )
 
 
 @router.get("/targets/{beacon_id}/history", responses=problems(404, 422))
@@ -112,28 +123,30 @@ async def history(
 ) -> rest.TargetHistory:
     """How the estimate came about: positions and radii, evenly over the time, the newest last."""
     _target(hub, beacon_id)
-    points = None
+    points: Sequence[rest.HistoryPoint] | None = None
     if sources.history is not None:
         points = await sources.history(int(beacon_id), int(since_ns), limit)
+    if not points:
+        points = target_rows.history(hub.picture.histories.of(int(beacon_id), int(since_ns), limit))
     return rest.TargetHistory(
         schema_version=SCHEMA_VERSION,
         server_time_ns=str(hub.clock()),
         beacon_id=beacon_id,
-        points=list(points or rows.history(hub.picture.histories.of(int(beacon_id), int(since_ns), limit))),
+        points=list(points),
     )
 
 
 @router.get("/targets/{beacon_id}/regions", responses=problems(404, 422))
 async def regions(hub: HubDep, beacon_id: BeaconPath) -> RegionsRow:
     """Where one beacon could be: nested areas that hold 50, 90 and 95 % of the belief."""
-    row = _target(hub, beacon_id)
-    found = hub.picture.regions.row(int(beacon_id))
-    if found is None:
-        why = _why_not(row, "its tracker drew none, see its radius_90_m")
-        raise ProblemError(
-            HTTPStatus.NOT_FOUND, "no-regions", f"there are no regions of beacon {beacon_id}: {why}"
-        )
-    return found
+    return _of_beacon(
+        hub,
+        beacon_id,
+        hub.picture.regions.row(int(beacon_id)),
+        "no-regions",
+        f"there are no regions of beacon {beacon_id}",
+        "its tracker drew none, see its radius_90_m",
+    )
 
 
 @router.get("/links")

@@ -6,12 +6,13 @@ import type { Fetched } from "../fetched";
 import type { Store, Table } from "../store";
 import { palettes, type ThemeName } from "../themes/palette";
 import type { Place } from "../wire";
-import { boundsOf, type Bounds } from "./geometry";
+import { boundsOf, circle, type Bounds } from "./geometry";
 import { grid, spacingOf } from "./grid";
 import { icon, iconRatio } from "./icons";
 import { collection, type MapLayer } from "./layer";
 import { links } from "./links";
 import { mission } from "./mission";
+import { lastKnown, middleOf, places } from "./places";
 import { proposals } from "./proposals";
 import { regions } from "./regions";
 import { SearchMapLayer } from "./searchmap";
@@ -21,7 +22,7 @@ import { vehicles } from "./vehicles";
 
 setWorkerUrl(workerUrl);
 
-const LAYERS: MapLayer[] = [grid, mission, regions, trails, links, targets, proposals, vehicles];
+const LAYERS: MapLayer[] = [grid, mission, regions, lastKnown, trails, links, targets, proposals, vehicles];
 
 const FIT_ZOOM_MAX = 18.5;
 /** A search area so much wider than all that was found and flies is left out of the view. */
@@ -204,7 +205,10 @@ export class MapView {
       if (row.position) points.push([row.position.longitude_deg, row.position.latitude_deg]);
     }
     const found = boundsOf(points);
-    const area = store.mission?.search_area?.polygons_deg.flat(2) ?? [];
+    const area = [
+      ...(store.mission?.search_area?.polygons_deg.flat(2) ?? []),
+      ...places(store).flatMap((known) => circle(middleOf(known), known.radius_m, 4)),
+    ];
     const whole = boundsOf(area);
     const located = [...store.targets.values()].some((row) => row.position !== null);
     const wide = located && found && whole && whole.north - whole.south > WIDE * (found.north - found.south) && whole.east - whole.west > WIDE * (found.east - found.west);

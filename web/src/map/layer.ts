@@ -44,6 +44,10 @@ export function feature(geometry: Geometry, properties: Record<string, unknown> 
   return { type: "Feature", geometry, properties };
 }
 
+/** Whether that beacon, or one of its links, is what the operator picked. */
+export const picks = (selected: string, beacon_id: string): boolean =>
+  selected === `target:${beacon_id}` || (selected.startsWith("link:") && selected.endsWith(`:${beacon_id}`));
+
 export const point = (place: Place): Geometry => ({ type: "Point", coordinates: [place.longitude_deg, place.latitude_deg] });
 export const line = (...places: Place[]): Geometry => ({
   type: "LineString",

@@ -13,7 +13,7 @@ export const proposals: MapLayer = {
     {
       id: "proposals-point", type: "symbol", source: "proposals", filter: ["==", ["geometry-type"], "Point"],
       layout: {
-        "icon-image": ["get", "icon"], "icon-allow-overlap": true, "icon-ignore-placement": true,
+        "icon-image": ["get", "icon"], "icon-allow-overlap": true,
         "text-field": ["get", "label"], "text-font": BOLD, "text-size": 13, "text-allow-overlap": true, "text-ignore-placement": true,
       },
       paint: { "text-color": ["match", ["get", "icon"], "place-sent", palette.halo, palette.proposal] },

@@ -5,7 +5,7 @@ import type { Store } from "../store";
 import { milliseconds } from "../units";
 import type { RegionsRow, TargetRow } from "../wire";
 import { circle, ellipse90, ellipseRing } from "./geometry";
-import { collection, feature, type MapLayer } from "./layer";
+import { collection, feature, picks, type MapLayer } from "./layer";
 
 /** Regions this much older than the belief say nothing of it any more; they come every two seconds. */
 export const OLD_MS = 15_000;
@@ -38,7 +38,7 @@ export const regions: MapLayer = {
   data: (store, view) => {
     const found = [];
     // With a beacon or one of its links picked, the other beacons' areas step back.
-    const picked = [...store.targets.keys()].find((beacon_id) => view.selected === `target:${beacon_id}` || (view.selected.startsWith("link:") && view.selected.endsWith(`:${beacon_id}`)));
+    const picked = [...store.targets.keys()].find((beacon_id) => picks(view.selected, beacon_id));
     for (const row of store.targets.values()) {
       if (row.position === null) continue;
       const dim = picked !== undefined && picked !== row.beacon_id;

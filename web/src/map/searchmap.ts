@@ -6,6 +6,7 @@ import type { Store } from "../store";
 import { palettes, type ThemeName } from "../themes/palette";
 import { milliseconds } from "../units";
 import type { SearchMap } from "../wire";
+import { picks } from "./layer";
 
 /** Upper ends of the classes; beyond the last nothing is drawn. */
 export const CLASSES = [0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99] as const;
@@ -23,8 +24,8 @@ export function pixels(found: SearchMap, colours: readonly string[]): Uint8Clamp
   const result = new Uint8ClampedArray(4 * found.rows * found.columns);
   found.containment.forEach((containment, index) => {
     const colour = rgb[classOf(containment)];
-    // A square without any belief has containment 1 like the last one with some.
-    if (colour === undefined || (found.probability[index] ?? 0) <= 0) return;
+    // Beyond the last class; a square without any belief has containment 1.
+    if (colour === undefined) return;
     result.set([...colour, 255], 4 * index);
   });
   return result;
@@ -33,7 +34,7 @@ export function pixels(found: SearchMap, colours: readonly string[]): Uint8Clamp
 /** Whose maps to draw: the picked beacon's alone, else those of the beacons updated last. */
 export function wanted(store: Store, selected: string): string[] {
   const located = [...store.regions.values()].filter((row) => store.targets.get(row.beacon_id)?.position);
-  const picked = located.filter(({ beacon_id }) => selected === `target:${beacon_id}` || (selected.startsWith("link:") && selected.endsWith(`:${beacon_id}`)));
+  const picked = located.filter(({ beacon_id }) => picks(selected, beacon_id));
   if (picked.length > 0) return picked.map((row) => row.beacon_id);
   return located
     .sort((a, b) => milliseconds(b.time_ns) - milliseconds(a.time_ns))

@@ -11,10 +11,13 @@ export const targets: MapLayer = {
       id: "targets-point", type: "symbol", source: "targets",
       layout: {
         "icon-image": "beacon", "icon-allow-overlap": true, "icon-ignore-placement": true,
-        "text-field": ["get", "label"], "text-font": BOLD, "text-size": 13, "text-anchor": "top", "text-offset": [0, 0.8],
-        "text-allow-overlap": true, "text-ignore-placement": true,
+        // The label stands on whichever side no vehicle, proposal or other label is; it is never left out.
+        // Two ids of one phone lie on one spot: their markers must not block every side.
+        "text-field": ["get", "label"], "text-font": BOLD, "text-size": 13, "text-variable-anchor": ["top", "bottom", "left", "right"],
+        "text-radial-offset": 1.1, "text-justify": "auto", "text-allow-overlap": true,
       },
-      paint: { "text-color": palette.target, "text-halo-color": palette.halo, "text-halo-width": 2.5 },
+      // Not the marker's colour: on the squares of the search map that could not be read.
+      paint: { "text-color": palette.text, "text-halo-color": palette.halo, "text-halo-width": 2.5 },
     },
   ],
   data: (store) => {

@@ -12,7 +12,7 @@ export const vehicles: MapLayer = {
       id: "vehicles-point", type: "symbol", source: "vehicles", filter: ["==", ["geometry-type"], "Point"],
       layout: {
         "icon-image": ["get", "icon"], "icon-rotate": ["get", "heading"], "icon-rotation-alignment": "map",
-        "icon-allow-overlap": true, "icon-ignore-placement": true,
+        "icon-allow-overlap": true,
         "text-field": ["get", "label"], "text-font": BOLD, "text-size": ["case", [">", ["length", ["get", "label"]], 2], 10, 13],
         "text-allow-overlap": true, "text-ignore-placement": true,
       },

@@ -6,7 +6,7 @@ import { separateBeacon } from "../actions";
 import { ageOf, isReplay, type Context } from "./context";
 import { Why } from "./why";
 
-const ENVIRONMENT = { unknown: "environment unknown", los: "line of sight", mixed: "mixed", nlos: "no line of sight" } as const;
+const ENVIRONMENT = { unknown: "unknown", los: "line of sight", mixed: "mixed", nlos: "no line of sight" } as const;
 
 const GROUND: Record<string, string> = { terrain: "above ground", home: "above home", settings: "above ground" };
 
@@ -108,7 +108,7 @@ function Beacon({ context, row }: { context: Context; row: TargetRow }) {
             {position_s >= OLD_POSITION_S && <span class="old-position nowrap">position {age(position_s)} old · </span>}
             {walking >= MAY_WALK && <strong class="walking nowrap" data-testid="walking">may be walking ({probability(walking)}) · </strong>}
             {row.joined_beacon_ids.length > 0 && <span class="nowrap" data-testid="joined-ids">with {row.joined_beacon_ids.map(shortId).join(", ")} · </span>}
-            {ENVIRONMENT[row.environment]} · {row.los_links ?? 0} of {row.links} links LOS · {height(context, row, place)}
+            <span title={`Environment: ${ENVIRONMENT[row.environment]}`}>{row.los_links ?? 0} of {row.links} links in line of sight</span> · <span class="nowrap">{height(context, row, place)}</span>
           </p>
         </>
       ) : (

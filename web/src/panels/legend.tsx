@@ -1,4 +1,5 @@
 // What the colours and dashes on the map mean, and that there is no base map.
+import { places } from "../map/places";
 import { CLASSES, wanted } from "../map/searchmap";
 import type { MapView } from "../map/index";
 import { age, metres } from "../units";
@@ -57,6 +58,7 @@ export function Legend({ context, spacing_m, view, searchMap, setSearchMap }: Pr
           <li><i class="key fence" />fence</li>
           <li><i class="key vehicle">2</i>vehicle 2</li>
           <li><i class="key offer">2</i>proposal</li>
+          {places(context.store).length > 0 && <li data-testid="legend-last-known"><i class="key place" />last known</li>}
         </ul>
       </details>
     </>

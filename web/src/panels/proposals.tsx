@@ -3,7 +3,7 @@
 // replaced in between, its card goes and with it the armed button.
 import { useEffect, useState } from "preact/hooks";
 import { confirmProposal, dismissProposal } from "../actions";
-import { age, compass, distance_m, metres, milliseconds, shortId } from "../units";
+import { age, compass, distance_m, metres, milliseconds, shortId, unbroken } from "../units";
 import type { CommandRow, ProposalRow } from "../wire";
 import { ageOf, isReplay, type Context } from "./context";
 import { planNotes, readable } from "./notes";
@@ -62,7 +62,7 @@ function Offer({ context, row }: { context: Context; row: ProposalRow }) {
       <p>
         {sentence(row.reason)}{" "}
         <span class="muted">
-          · {!row.reason.includes(row.beacon_id) && `Beacon ${shortId(row.beacon_id)} · `}{height} · <span class="nowrap">{left_s > 0 ? `${age(left_s)} left` : "expired"}</span>
+          · {!row.reason.includes(row.beacon_id) && <><span class="nowrap">Beacon {shortId(row.beacon_id)}</span> · </>}<span class="nowrap">{height}</span> · <span class="nowrap">{left_s > 0 ? `${age(left_s)} left` : "expired"}</span>
         </span>
       </p>
       {/* Elsewhere than the first button: a double click sends nobody. */}
@@ -78,7 +78,7 @@ function Offer({ context, row }: { context: Context; row: ProposalRow }) {
   );
 }
 
-const sentence = (text: string): string => readable(text.charAt(0).toUpperCase() + text.slice(1));
+const sentence = (text: string): string => unbroken(readable(text.charAt(0).toUpperCase() + text.slice(1)));
 
 /** Why there is not more: the planner's newest word on each vehicle and beacon. */
 function Notes({ context }: { context: Context }) {

@@ -1,5 +1,7 @@
 // "Why do you think so?" in the operator's words. Pure.
-import type { ContributionRow } from "../wire";
+import { middleOf } from "../map/places";
+import { compass, distance_m, metres, shortId } from "../units";
+import type { ContributionRow, LastKnownRow, TargetRow } from "../wire";
 
 export interface Reason {
   vehicle_id: number;
@@ -18,7 +20,7 @@ const MISFIT = 3;
 /** Below this factor the others are surer without it. */
 const CONTRADICTS = 0.8;
 const LITTLE = 0.02;
-/** Bearings of links that are hardly in line of sight point anywhere: that is no news. */
+/** Bearings of links that are hardly in line of sight point anywhere: by how much is no news. */
 const LIKELY_LOS = 0.5;
 
 interface Remark {
@@ -53,9 +55,12 @@ function bearing(row: ContributionRow): Remark | null {
   if (Math.abs(aside) >= NOTICED) parts.push(`${degrees(aside_deg)} to the ${aside_deg > 0 ? "right" : "left"} of`);
   if (Math.abs(above) >= NOTICED) parts.push(`${degrees(above_deg)} ${above_deg > 0 ? "above" : "below"}`);
   if (parts.length === 0) return { text: `its bearing fits the estimate${spread(aside_deg, aside, "°")}`, odd: false };
+  const judged = row.los_probability !== null;
+  if (row.los_probability !== null && row.los_probability < LIKELY_LOS) {
+    return { text: "its bearing counts little (a reflection)", odd: false };
+  }
   const worst = Math.max(Math.abs(aside), Math.abs(above));
-  const likely = (row.los_probability ?? 0) >= LIKELY_LOS;
-  return { text: `its bearing points ${parts.join(" and ")} the estimate${likely ? oddness(worst) : ""}`, odd: likely && worst >= UNUSUAL };
+  return { text: `its bearing points ${parts.join(" and ")} the estimate${judged ? oddness(worst) : ""}`, odd: judged && worst >= UNUSUAL };
 }
 
 export function reasonOf(row: ContributionRow): Reason {
@@ -70,7 +75,7 @@ export function reasonOf(row: ContributionRow): Reason {
   }
   for (const remark of [power(row), bearing(row)]) if (remark !== null) remarks.push(remark);
   remarks.sort((a, b) => Number(b.odd) - Number(a.odd));
-  remarks.push({ text: row.los_probability === null ? "line of sight not judged" : `line of sight ${(row.los_probability * 100).toFixed(0)} %`, odd: false });
+  remarks.push({ text: row.los_probability === null ? "line of sight not judged" : `line of sight: ${(row.los_probability * 100).toFixed(0)} % likely`, odd: false });
   const windows = [count(row.windows, "window", "windows")];
   if (row.redundant > 0) windows.push(`${row.redundant} more from the same places`);
   if (row.outliers > 0) windows.push(`${row.outliers} doubtful, weighed down`);
@@ -81,6 +86,18 @@ export function reasonOf(row: ContributionRow): Reason {
     remarks,
     windows: windows.join(", "),
   };
+}
+
+/** A last known place, and where the estimate lies from it. */
+export function lastKnownText(known: LastKnownRow, row: TargetRow): string {
+  const name = known.name === "" ? "" : `${known.name}, `;
+  const of = known.beacon_id === null ? " (any beacon)" : known.beacon_id === row.beacon_id ? "" : ` (of ${shortId(known.beacon_id)})`;
+  const place = row.position;
+  if (place === null) return `Last known: ${name}within ${metres(known.radius_m)}${of}`;
+  const middle = middleOf(known);
+  const away_m = distance_m(middle, place);
+  const where = away_m < 1 ? "the estimate is its middle" : `the estimate is ${metres(away_m)} ${compass(middle, place)} of its middle`;
+  return `Last known: ${name}within ${metres(known.radius_m)}${of} · ${where}`;
 }
 
 /** The most telling first. */

@@ -2,11 +2,12 @@
 // operator's word that two ids are one phone.
 import { useState } from "preact/hooks";
 import { joinBeacons } from "../actions";
-import { age, metres, shortId } from "../units";
+import { placesOf } from "../map/places";
+import { age, metres, shortId, unbroken } from "../units";
 import type { HistoryPoint, TargetRow } from "../wire";
 import { ageOf, isReplay, type Context } from "./context";
 import { curveOf } from "./curve";
-import { reasonsOf } from "./reasons";
+import { lastKnownText, reasonsOf } from "./reasons";
 
 const [WIDTH, HEIGHT] = [300, 64];
 
@@ -40,7 +41,7 @@ function Reasons({ context, row }: { context: Context; row: TargetRow }) {
   if (found === undefined || found.contributions.length === 0) return <p class="empty">Not worked out yet.</p>;
   return (
     <>
-      <p class="detail">What each vehicle brought of what we know ({age(ageOf(context, found.time_ns))} ago)</p>
+      <p class="detail">Each vehicle's share of what is known ({age(ageOf(context, found.time_ns))} ago)</p>
       <ul class="reasons" data-testid={`reasons-${row.beacon_id}`}>
         {reasonsOf(found.contributions).map((reason) => (
           <li key={reason.vehicle_id} data-testid={`reason-${row.beacon_id}-${reason.vehicle_id}`}>
@@ -50,13 +51,24 @@ function Reasons({ context, row }: { context: Context; row: TargetRow }) {
               <span class="number">{reason.share}</span>
             </div>
             <p>
-              {reason.remarks.map(({ text, odd }, index) => <span key={text} class={odd ? "odd" : ""}>{index > 0 ? " · " : ""}{odd && "▲ "}{text}</span>)}
-              <span class="note"> · {reason.windows}</span>
+              {reason.remarks.map(({ text, odd }, index) => <span key={text} class={odd ? "odd" : ""}>{index > 0 ? " · " : ""}{odd && "▲ "}{unbroken(text)}</span>)}
+              <span class="note"> · {unbroken(reason.windows)}</span>
             </p>
           </li>
         ))}
       </ul>
     </>
+  );
+}
+
+/** What was said before the search: it counts until the radio knows better. */
+function LastKnown({ context, row }: { context: Context; row: TargetRow }) {
+  const known = placesOf(context.store, row);
+  if (known.length === 0) return null;
+  return (
+    <ul class="detail" data-testid={`last-known-${row.beacon_id}`}>
+      {known.map((place, index) => <li key={index}>{unbroken(lastKnownText(place, row))}</li>)}
+    </ul>
   );
 }
 
@@ -99,6 +111,7 @@ export function Why({ context, row }: { context: Context; row: TargetRow }) {
   return (
     <div class="why" data-testid={`why-${row.beacon_id}`}>
       {row.position && <Radius context={context} row={row} />}
+      <LastKnown context={context} row={row} />
       {row.position && <Reasons context={context} row={row} />}
       {row.position && <a class="detail" href={`api/v1/targets/${encodeURIComponent(row.beacon_id)}/search-map/file`} download data-testid={`download-${row.beacon_id}`}>Search map for a GIS (ZIP)</a>}
       <Join context={context} row={row} />
