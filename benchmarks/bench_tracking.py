@@ -11,15 +11,13 @@ slowest. With --vehicles, --seconds other loads. Errors beside the exact filter:
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import platform
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
+from reporting import environment, give
 
 from groundstation.localization import SERVICE_MODEL, SearchArea
 from groundstation.tracking import Tracker, TrackingSettings, TrackObservation
@@ -97,12 +95,7 @@ def main() -> None:
     options = parser.parse_args()
     asked = (options.vehicles, options.beacons, options.seconds)
     report: dict[str, Any] = {
-        "environment": {
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "scipy": scipy.__version__,
-            "machine": platform.machine(),
-        },
+        "environment": environment("numpy", "scipy"),
         "seed": options.seed,
         "vehicles": options.vehicles,
         "beacons_measured": options.beacons,
@@ -110,10 +103,7 @@ def main() -> None:
         "line of sight": measured(options.seed, True, *asked),
         "obstructed": measured(options.seed, False, *asked),
     }
-    text = json.dumps(report, indent=2, ensure_ascii=False)
-    print(text)
-    if options.out is not None:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    give(report, options.out)
 
 
 if __name__ == "__main__":

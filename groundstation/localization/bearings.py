@@ -21,13 +21,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from groundstation.localization.likelihood import (
     ANYWHERE,
-    bearing_residual,
+    residual_along,
     stray_share,
     widened_variance,
 )
@@ -37,7 +38,8 @@ from groundstation.localization.whitening import Observations
 
 _REACH2 = 60.0
 """A bearing is followed out to √60 standard deviations, e⁻³⁰."""
-_FACTORS = 32
+_PAIRS = 100_000
+"""Rows × candidates whose geometry is worked out at once: more does not stay in the processor's cache."""
 _LEAST_CLAIM = 3.0
 """However alike, a bearing with news in it can raise a candidate by e³."""
 
@@ -86,24 +88,28 @@ class Bearings:
             & np.isfinite(observations.elevation_rad[rows])
             & (observations.angle_probability[rows] > 0.0)
         ]
-        seen: dict[int, int] = {}
-        rounds: list[list[int]] = []
-        for row, link in zip(rows.tolist(), observations.link[rows].tolist(), strict=True):
-            turn = seen[link] = seen.get(link, -1) + 1
-            if turn == len(rounds):
-                rounds.append([])
-            rounds[turn].append(row)
-        spread_m2 = mesh.half_m**2 / 3.0
-        for chosen in rounds:
-            # No vehicle twice: the rows of a round do not touch each other's errors.
-            self._take(observations, np.array(chosen), mesh, spread_m2, model, log)
+        if not rows.size:
+            return
+        # In rounds that hold no vehicle twice: the rows of a round do not touch each other's errors.
+        turn = _turns(observations.link[rows])
+        order = np.argsort(turn, kind="stable")
+        rows, rounds = rows[order], np.bincount(turn).tolist()
+        at_once = max(_PAIRS // max(mesh.count, 1), 1)
+        while rounds:
+            # What does not depend on the order is worked out for several rounds together.
+            count = 1
+            while count < len(rounds) and sum(rounds[: count + 1]) <= at_once:
+                count += 1
+            ends = np.cumsum([0, *rounds[:count]])
+            self._take(observations, rows[: ends[-1]], ends.tolist(), mesh, model, log)
+            rows, rounds = rows[ends[-1] :], rounds[count:]
 
     def _take(
         self,
         observations: Observations,
         rows: Any,
+        ends: list[int],
         mesh: Mesh,
-        spread_m2: FloatArray,
         model: SignalModel,
         log: FloatArray,
     ) -> None:
@@ -116,53 +122,62 @@ class Bearings:
         trusted = right * (1.0 - stray_share(model))
         stray = (right - trusted + 2.0 * (1.0 - p) * (1.0 - share)) * ANYWHERE
         fresh = observations.angle_weight[rows]
-        log += (fresh * np.log(stray)).sum(axis=1)[:, None]
+        strays = fresh * np.log(stray)
         peak = 1.0 / (2.0 * math.pi * np.sqrt((white + constant).prod(axis=0)))
         claim = np.log1p(trusted * peak / stray)
         news = np.minimum(model_white(model) / white.prod(axis=0), 1.0)
         tempered = np.minimum(claim, np.maximum(fresh * claim, _LEAST_CLAIM * news))
         odds = trusted / (stray * np.exp(claim - tempered))
 
-        place = observations.position_enu_m[rows]
-        azimuth, elevation = observations.azimuth_rad[rows], observations.elevation_rad[rows]
-        number, cell = _near_the_rays(place, azimuth, white[0] + constant, mesh.center_enu_m, spread_m2)
-        if not number.size:
-            return
-        link = observations.link[rows][number]
-        cells = log.shape[1]
-        center, spread = mesh.center_enu_m.T, spread_m2.T
-        offset = center.take(cell, axis=1) - place.T.take(number, axis=1)
-        residual, of_box = bearing_residual(
-            offset, spread.take(cell, axis=1), (azimuth.take(number), elevation.take(number))
+        link, cells = observations.link[rows], mesh.count
+        near, along, across = _near_the_rays(
+            observations.position_enu_m[rows],
+            observations.azimuth_rad[rows],
+            white[0] + constant,
+            mesh,
         )
-        at = link * cells + cell
-        flat_mean, flat_variance = self.mean.reshape(2, -1), self.variance.reshape(2, -1)
-        mean, variance = flat_mean.take(at, axis=1), flat_variance.take(at, axis=1)
-        total = widened_variance(white.take(number, axis=1) + variance, of_box)
-        residual -= mean
-        square = residual * residual
-        square /= total
-        density = np.exp(-0.5 * (square[0] + square[1]))
-        density /= np.sqrt(total[0] * total[1])
-        density *= 1.0 / (2.0 * math.pi)
-        # P(genuine) under what is believed of π at each candidate: weight (N, C), odds (r, C).
-        weight = np.exp(log - log.max(axis=0))
-        weight /= weight.sum(axis=0)
-        ratio = (odds.T @ weight)[number, cell] * density
-        genuine = ratio / (1.0 + ratio)
-        everywhere = np.zeros((rows.size, cells))
-        everywhere[number, cell] = density
-        for node, factor in enumerate(odds):
-            # One logarithm of a product: e¹² a row at most, 60 rows.
-            for first in range(0, rows.size, _FACTORS):
-                some = slice(first, first + _FACTORS)
-                log[node] += np.log((1.0 + factor[some, None] * everywhere[some]).prod(axis=0))
-        step = variance / total
-        residual *= step
-        flat_mean[:, at] = mean + genuine * residual
-        flat_variance[:, at] = (
-            variance * (1.0 - genuine * step) + genuine * (1.0 - genuine) * residual * residual
+        pair = np.flatnonzero(near)
+        number = pair // max(cells, 1)
+        cell = pair - number * cells
+        center = np.ascontiguousarray(mesh.center_enu_m.T)
+        spread_m2 = np.ascontiguousarray(mesh.half_m.T) ** 2 / 3.0
+        up = center[2].take(cell) - observations.position_enu_m[rows, 2].take(number)
+        residual, of_box = residual_along(
+            (along.take(pair), across.take(pair), up),
+            spread_m2.take(cell, axis=1),
+            observations.elevation_rad[rows].take(number),
         )
+        white = white.take(number, axis=1)
+        at = (link * cells).take(number) + cell
+        mean, variance = self.mean.reshape(2, -1), self.variance.reshape(2, -1)
+        starts = np.searchsorted(number, ends).tolist()
+        for turn, (first, last) in enumerate(pairwise(ends)):
+            log += strays[:, first:last].sum(axis=1)[:, None]
+            pairs = slice(starts[turn], starts[turn + 1])
+            if pairs.start == pairs.stop:
+                continue
+            place = at[pairs]
+            error, doubt = mean.take(place, axis=1), variance.take(place, axis=1)
+            total = widened_variance(white[:, pairs] + doubt, of_box[:, pairs])
+            off = residual[:, pairs] - error
+            square = off * off
+            square /= total
+            density = np.exp(-0.5 * (square[0] + square[1]))
+            density /= np.sqrt(total[0] * total[1])
+            density *= 1.0 / (2.0 * math.pi)
+            genuine = _told(log, odds[:, first:last], density, number[pairs] - first, cell[pairs])
+            step = np.divide(doubt, total, out=total)
+            off *= step
+            error += genuine * off
+            off *= off
+            off *= genuine * (1.0 - genuine)
+            step *= genuine
+            doubt -= np.multiply(step, doubt, out=step)
+            doubt += off
+            for angle in range(2):
+                # One axis at a time: assigning to both at once takes five times as long.
+                mean[angle][place] = error[angle]
+                variance[angle][place] = doubt[angle]
 
     def state(self) -> dict[str, Any]:
         """As arrays."""
@@ -181,26 +196,61 @@ def model_white(model: SignalModel) -> float:
     return (model.azimuth_std_rad * model.elevation_std_rad) ** 2
 
 
+def _turns(link: Any) -> Any:
+    """(r,) how many rows of the same vehicle come before each."""
+    order = np.argsort(link, kind="stable")
+    of = link[order]
+    turn = np.empty(link.size, dtype=np.int64)
+    turn[order] = np.arange(link.size) - np.searchsorted(of, of)
+    return turn
+
+
+def _told(log: FloatArray, odds: FloatArray, density: FloatArray, number: Any, cell: Any) -> FloatArray:
+    """Take a round's bearings into ``log`` (N, C) and give the probability that each pair's is genuine.
+
+    Pairs of a row ``number`` and a ``cell``: ``density`` of the bearing, per rad²; ``odds`` (N, r).
+    """
+    # Under what was believed of π at each candidate before: weight (N, C).
+    weight = np.exp(log - log.max(axis=0))
+    weight /= weight.sum(axis=0)
+    ratio: FloatArray = (odds.T @ weight).take(number * log.shape[1] + cell)
+    ratio *= density
+    for node, factor in enumerate(odds):
+        log[node] += np.bincount(cell, np.log(1.0 + factor.take(number) * density), log.shape[1])
+    ratio /= 1.0 + ratio
+    return ratio
+
+
 def _near_the_rays(
-    place: FloatArray,
-    azimuth_rad: FloatArray,
-    variance: FloatArray,
-    candidates: FloatArray,
-    spread_m2: FloatArray,
-) -> tuple[Any, Any]:
-    """Pairs (row, cell) where a bearing's density is not nothing: most cells are far off a narrow ray."""
+    place: FloatArray, azimuth_rad: FloatArray, variance: FloatArray, mesh: Mesh
+) -> tuple[Any, FloatArray, FloatArray]:
+    """Where a bearing's density is not nothing (most cells are far off a narrow ray); (r, C) bool.
+
+    And the horizontal way from each place to each cell, along the bearing and across it; (r, C) metres.
+    """
     east, north = np.cos(azimuth_rad)[:, None], np.sin(azimuth_rad)[:, None]
-    x = candidates[:, 0] - place[:, 0, None]
-    y = candidates[:, 1] - place[:, 1, None]
-    across = y * east - x * north
-    along = x * east + y * north
-    across *= across
-    horizontal2 = np.maximum(across + along * along, 0.01)
-    spread = variance[:, None] * horizontal2 + spread_m2[:, 0]
+    center = np.ascontiguousarray(mesh.center_enu_m.T)
+    x = center[0] - place[:, 0, None]
+    y = center[1] - place[:, 1, None]
+    across = y * east
+    across -= x * north
+    along = x
+    along *= east
+    y *= north
+    along += y
+    across2 = np.multiply(across, across, out=y)
+    horizontal2 = along * along
+    horizontal2 += across2
+    np.maximum(horizontal2, 0.01, out=horizontal2)
+    spread = variance[:, None] * horizontal2
+    spread += mesh.half_m[:, 0] ** 2 / 3.0
     # Behind the vehicle the turn is over 90°: nothing, unless the spread is wide.
-    ahead = (along > 0.0) | (spread > 0.03 * horizontal2)
-    number, cell = np.nonzero((across < _REACH2 * spread) & ahead)
-    return number, cell
+    horizontal2 *= 0.03
+    near = spread > horizontal2
+    near |= along > 0.0
+    spread *= _REACH2
+    near &= across2 < spread
+    return near, along, across
 
 
 def angle_log_likelihood(

@@ -37,6 +37,8 @@ _LEAST_STRAY = 1e-12
 ANYWHERE = 1.0 / (2.0 * math.pi * math.pi)
 """Density of a bearing that points anywhere, per rad²: azimuth all round, elevation ±90°."""
 _MINIMUM_DISTANCE_M = 1.0
+DB_OF_LOG = 5.0 / math.log(10.0)
+"""10 log₁₀ of a distance over the natural logarithm of its square."""
 _MIXTURE_LOG_DISTANCE = 1.9
 _DEEPEST_NULL_DB = -10.0 * math.log10(0.02)
 
@@ -115,22 +117,43 @@ def _square_distance(vehicle_m: FloatArray, candidates: FloatArray) -> FloatArra
     """(n, d) × (C, d) → (n, C), m²: one product of matrices, about a middle that keeps the numbers small."""
     middle = vehicle_m.mean(axis=0) if vehicle_m.size else 0.0
     here, there = vehicle_m - middle, candidates - middle
-    result: FloatArray = here @ (-2.0 * there.T)
-    result += np.einsum("cd,cd->c", there, there)
-    result += np.einsum("nd,nd->n", here, here)[:, None]
+    # |a − x|² = −2 a·x + |a|² · 1 + 1 · |x|²: the squares go along as two more columns.
+    left, right = np.ones((here.shape[0], here.shape[1] + 2)), np.ones((here.shape[1] + 2, there.shape[0]))
+    np.multiply(here, -2.0, out=left[:, :-2])
+    np.einsum("nd,nd->n", here, here, out=left[:, -2])
+    right[:-2] = there.T
+    np.einsum("cd,cd->c", there, there, out=right[-1])
+    result: FloatArray = left @ right
     return result
 
 
-def null_loss_db(vehicle_enu_m: FloatArray, candidates: FloatArray, path_db: FloatArray) -> FloatArray:
-    """−10 log₁₀ cos²(elevation) of the ways (n, 3) × (C, 3) → (n, C): loss in a null of order 1 overhead.
+def log_squares(vehicle_enu_m: FloatArray, candidates: FloatArray, null: bool) -> tuple[FloatArray, Any]:
+    """``logs_of_squares`` of the ways (n, 3) × (C, 3) → (n, C)."""
+    flat = _square_distance(vehicle_enu_m[:, :2], candidates[:, :2])
+    square = candidates[:, 2].copy() - vehicle_enu_m[:, 2, None]
+    square *= square
+    square += flat
+    return logs_of_squares(square, flat, null)
 
-    ``path_db``: what ``path_loss_db`` gave for them. At most 17 dB: no null is empty, with reflections about.
+
+def logs_of_squares(square_m2: FloatArray, flat_m2: FloatArray, null: bool) -> tuple[FloatArray, Any]:
+    """What two losses are made of, from squared distances and their horizontal part, both overwritten:
+
+    the path loss and (``null``; else None) −10 log₁₀ cos²(elevation), the loss in a null of order 1
+    overhead, each over ``DB_OF_LOG``: whoever adds up many multiplies once. Distances under 1 m count as
+    1 m; the null has at most 17 dB: none is empty, with reflections about.
     """
-    flat = path_loss_of_square(_square_distance(vehicle_enu_m[:, :2], candidates[:, :2]))
-    flat -= path_db
-    flat *= -2.0
-    np.minimum(flat, _DEEPEST_NULL_DB, out=flat)
-    return flat
+    np.maximum(square_m2, _MINIMUM_DISTANCE_M**2, out=square_m2)
+    # NumPy has a vector loop for log, none for log10.
+    np.log(square_m2, out=square_m2)
+    if not null:
+        return square_m2, None
+    np.maximum(flat_m2, _MINIMUM_DISTANCE_M**2, out=flat_m2)
+    np.log(flat_m2, out=flat_m2)
+    np.subtract(square_m2, flat_m2, out=flat_m2)
+    flat_m2 *= 2.0
+    np.minimum(flat_m2, _DEEPEST_NULL_DB / DB_OF_LOG, out=flat_m2)
+    return square_m2, flat_m2
 
 
 def path_loss_of_square(square_m2: FloatArray) -> FloatArray:
@@ -138,7 +161,7 @@ def path_loss_of_square(square_m2: FloatArray) -> FloatArray:
     np.maximum(square_m2, _MINIMUM_DISTANCE_M**2, out=square_m2)
     # NumPy has a vector loop for log, none for log10.
     np.log(square_m2, out=square_m2)
-    square_m2 *= 5.0 / math.log(10.0)
+    square_m2 *= DB_OF_LOG
     return square_m2
 
 
@@ -152,15 +175,26 @@ def bearing_residual(
     """
     east, north, up = offset_m
     azimuth, elevation = bearing_rad
-    across_m2, upright_m2 = spread_m2
-    horizontal2 = np.maximum(east * east + north * north, 0.01)
-    distance2 = horizontal2 + up * up
     cos, sin = np.cos(azimuth), np.sin(azimuth)
-    turn = np.arctan2(north * cos - east * sin, east * cos + north * sin)
-    lift = np.arctan2(up, np.sqrt(horizontal2)) - elevation
-    rise = (across_m2 * up * up + upright_m2 * horizontal2) / (distance2 * distance2)
+    return residual_along((east * cos + north * sin, north * cos - east * sin, up), spread_m2, elevation)
+
+
+def residual_along(
+    offset_m: tuple[Any, Any, Any], spread_m2: Any, elevation_rad: Any
+) -> tuple[FloatArray, FloatArray]:
+    """``bearing_residual`` of a way ``offset_m`` along the bearing's azimuth, across it (left) and up."""
+    along, across, up = offset_m
+    across_m2, upright_m2 = spread_m2
+    horizontal2 = np.maximum(along * along + across * across, 0.01)
+    up2 = up * up
+    distance2 = horizontal2 + up2
+    residual, of_box = np.empty((2, *horizontal2.shape)), np.empty((2, *horizontal2.shape))
     # The way turns against the bearing as the bearing turns against the way.
-    return np.stack([-turn, -lift]), np.stack([across_m2 / horizontal2, rise])
+    np.arctan2(-across, along, out=residual[0])
+    np.subtract(elevation_rad, np.arctan2(up, np.sqrt(horizontal2)), out=residual[1])
+    np.divide(across_m2, horizontal2, out=of_box[0])
+    np.divide(across_m2 * up2 + upright_m2 * horizontal2, distance2 * distance2, out=of_box[1])
+    return residual, of_box
 
 
 def bearing_density(

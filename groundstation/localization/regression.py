@@ -17,11 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 
-from groundstation.localization.likelihood import (
-    ExponentGrid,
-    null_loss_db,
-    path_loss_db,
-)
+from groundstation.localization.likelihood import DB_OF_LOG, ExponentGrid, log_squares
 from groundstation.localization.problem import FloatArray, SignalModel
 from groundstation.localization.whitening import Observations, Whitened, whiten
 
@@ -29,6 +25,8 @@ __all__ = ["Evidence", "Observations", "Whitened", "whiten"]
 
 _FEW_ROWS = 64
 """Up to here, setting up a sparse matrix costs more than it saves."""
+_BLOCK = 48_000
+"""Losses (windows × candidates) worked out at once: more does not stay in the processor's cache."""
 _PAIR = ((0, 1, 3), (1, 2, 4), (3, 4, 5))
 """Where the product of two regressors (LOS, NLOS, null) stands in ``Evidence.path_path``."""
 _NODES = 5
@@ -118,21 +116,25 @@ class Evidence:
         """Take in whitened rows; ``candidates`` (C, 3) metres ENU. ``null``: whether antennas have one."""
         if not rows.rows.size:
             return
-        regressors = _regressors(observations, rows, candidates, null)
         self.count += int(rows.rows.size)
         self.level_level += float(rows.level @ rows.level)
         self.level_loading += rows.loading.T @ rows.level
         self.loading_loading += rows.loading.T @ rows.loading
         used = np.flatnonzero(rows.loading.any(axis=0))
         part = np.ascontiguousarray(rows.loading[:, used].T)
-        for number, one in enumerate(regressors):
-            if one is None:
-                continue
-            self.level_path[number] += rows.level @ one
-            self.loading_path[number][used] += part @ one
-            for other, two in enumerate(regressors[: number + 1]):
-                if two is not None:
-                    self.path_path[_PAIR[other][number]] += np.einsum("rc,rc->c", two, one)
+        mixer = _Mixer.of(observations, rows)
+        at_once = max(_BLOCK // mixer.place_enu_m.shape[0], 1)
+        for start in range(0, self.candidates, at_once):
+            cells = slice(start, start + at_once)
+            regressors = mixer.regressors(candidates[cells], null)
+            for number, one in enumerate(regressors):
+                if one is None:
+                    continue
+                self.level_path[number, cells] += rows.level @ one
+                self.loading_path[number, used, cells] += part @ one
+                for other, two in enumerate(regressors[: number + 1]):
+                    if two is not None:
+                        self.path_path[_PAIR[other][number], cells] += np.einsum("rc,rc->c", two, one)
 
     @staticmethod
     def loss_rows(
@@ -140,7 +142,7 @@ class Evidence:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Whitened losses of each row at each candidate: path of LOS, path of NLOS, null; (r, C) each, dB."""
         nothing = np.zeros((rows.rows.size, candidates.shape[0]))
-        los, nlos, deep = _regressors(observations, rows, candidates, null)
+        los, nlos, deep = _Mixer.of(observations, rows).regressors(candidates, null)
         return (
             nothing if los is None else los,
             nothing if nlos is None else nlos,
@@ -316,32 +318,59 @@ class Evidence:
         return np.asarray(np.linalg.solve(self.loading_loading, right), dtype=np.float64)
 
 
-def _regressors(
-    observations: Observations, rows: Whitened, candidates: FloatArray, null: bool
-) -> list[FloatArray | None]:
-    """Whitened losses of each row at each candidate: path of LOS, of NLOS, null; (r, C), None = all zero."""
-    parents = observations.parents[rows.rows]
-    family = np.concatenate([rows.rows[:, None], np.where(parents >= 0, parents, 0)], axis=1)
-    needed, where = np.unique(family, return_inverse=True)
-    where = where.reshape(family.shape)
-    place = observations.position_enu_m[needed]
-    path = path_loss_db(place, candidates)
-    p = observations.los_probability[needed]
-    index = np.repeat(np.arange(rows.rows.size), family.shape[1])
-    shape = (rows.rows.size, needed.size)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mixer:
+    """How r whitened rows mix the losses of the m windows that they and their parents are."""
 
-    def mix(weights: FloatArray, loss: FloatArray) -> FloatArray:
-        if rows.rows.size <= _FEW_ROWS:
-            dense = np.zeros(shape)
-            np.add.at(dense, (index, where.ravel()), weights.ravel())
-            return np.asarray(dense @ loss, dtype=np.float64)
-        # Few entries a row: a sparse product costs a hundredth of the dense one.
-        sparse = scipy.sparse.csr_array((weights.ravel(), (index, where.ravel())), shape=shape)
-        return np.asarray(sparse @ loss, dtype=np.float64)
+    place_enu_m: FloatArray
+    """(m, 3)"""
+    los: Any
+    """(r, m) weights of the path losses as LOS links'; None: no link is in line of sight."""
+    nlos: Any
+    """(r, m) as NLOS links'; None: all are in line of sight."""
+    whole: Any
+    """(r, m) weights of a loss that all links have."""
 
-    los = mix(rows.mixing * p[where], path) if p.any() else None
-    nlos = mix(rows.mixing * (1.0 - p[where]), path) if (p < 1.0).any() else None
-    return [los, nlos, mix(rows.mixing, null_loss_db(place, candidates, path)) if null else None]
+    @classmethod
+    def of(cls, observations: Observations, rows: Whitened) -> _Mixer:
+        parents = observations.parents[rows.rows]
+        family = np.concatenate([rows.rows[:, None], np.where(parents >= 0, parents, 0)], axis=1)
+        wanted = np.zeros(observations.count, dtype=bool)
+        wanted[family] = True
+        needed = np.flatnonzero(wanted)
+        where = (np.cumsum(wanted) - 1)[family]
+        shape = (rows.rows.size, needed.size)
+        index = np.arange(shape[0])[:, None]
+
+        def table(weights: FloatArray) -> Any:
+            if shape[0] <= _FEW_ROWS:
+                flat = (index * shape[1] + where).ravel()
+                return np.bincount(flat, weights.ravel(), shape[0] * shape[1]).reshape(shape)
+            # Few entries a row: a sparse product costs a hundredth of the dense one.
+            at = np.broadcast_to(index, where.shape).ravel()
+            return scipy.sparse.csr_array((weights.ravel(), (at, where.ravel())), shape=shape)
+
+        p = observations.los_probability[needed]
+        return cls(
+            observations.position_enu_m[needed],
+            table(rows.mixing * p[where]) if p.any() else None,
+            table(rows.mixing * (1.0 - p[where])) if (p < 1.0).any() else None,
+            table(rows.mixing),
+        )
+
+    def regressors(self, candidates: FloatArray, null: bool) -> list[FloatArray | None]:
+        """(r, C) whitened losses: path as LOS, path as NLOS, null; None = all zero."""
+        path, deep = log_squares(self.place_enu_m, candidates, null)
+
+        def mixed(table: Any, loss: Any) -> FloatArray | None:
+            if table is None or loss is None:
+                return None
+            result: FloatArray = np.asarray(table @ loss)
+            # Into dB only here: the rows are fewer than the windows that they mix.
+            result *= DB_OF_LOG
+            return result
+
+        return [mixed(self.los, path), mixed(self.nlos, path), mixed(self.whole, deep)]
 
 
 def _log_density(form: FloatArray, count: int, noise_degrees: float | None) -> FloatArray:

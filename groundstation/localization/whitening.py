@@ -60,6 +60,8 @@ _POOL = 16
 """Of so many most alike the parents are chosen."""
 _LEAST_FORETOLD = 1e-4
 """Share of its variance that a further parent must explain of a row."""
+_AT_ONCE = 64
+"""Rows related at once: more do not stay in the processor's cache."""
 _TIE = 1e-12
 """Of two equally alike the earlier one comes first."""
 
@@ -89,19 +91,25 @@ def _shadowing_covariance(
     observations: Observations, a: Any, b: Any, correlation_m: float, model: SignalModel
 ) -> FloatArray:
     """Covariance of shadowing between rows a and b (broadcast), dB². LOS and NLOS fields are independent."""
-    gap: FloatArray = np.zeros(())
-    # Axis by axis: sums over a short last axis are slow, and this is the most of what relating costs.
+    gap: FloatArray = np.zeros(np.broadcast_shapes(np.shape(a), np.shape(b)))
+    other = np.empty_like(gap)
+    # Axis by axis and in place: this is the most of what relating costs.
     for axis in observations.position_enu_m.T:
-        apart = axis[a] - axis[b]
-        apart *= apart
-        gap = gap + apart
+        np.subtract(axis[a], axis[b], out=other)
+        other *= other
+        gap += other
     np.sqrt(gap, out=gap)
     gap *= -1.0 / correlation_m
     np.exp(gap, out=gap)
     los = observations.los_probability * model.rss_std_db
     nlos = (1.0 - observations.los_probability) * model.nlos_rss_std_db
-    gap *= los[a] * los[b] + nlos[a] * nlos[b]
-    gap *= np.where(observations.link[a] == observations.link[b], 1.0, model.shared_shadowing)
+    np.multiply(los[a], los[b], out=other)
+    other += nlos[a] * nlos[b]
+    gap *= other
+    np.equal(observations.link[a], observations.link[b], out=other)
+    other *= 1.0 - model.shared_shadowing
+    other += model.shared_shadowing
+    gap *= other
     return gap
 
 
@@ -133,15 +141,26 @@ def informative_parents(
     that lessens the variance of what is left most (a pivoted Cholesky factorisation of the most
     alike): the nearest ones repeat each other, and of a second lap they miss the first.
     """
-    rows = np.arange(first, observations.count)
-    pool = min(_POOL, observations.count)
-    result = np.full((rows.size, count), -1, dtype=np.int64)
-    if not rows.size or count == 0:
+    result = np.full((observations.count - first, count), -1, dtype=np.int64)
+    if count == 0:
         return result
-    alike = _shadowing_covariance(
-        observations, rows[:, None], np.arange(observations.count), correlation_m, model
-    )
-    alike = np.where(usable, alike * (1.0 - _TIE * np.arange(observations.count)), 0.0)
+    for start in range(first, observations.count, _AT_ONCE):
+        rows = np.arange(start, min(start + _AT_ONCE, observations.count))
+        # Parents are earlier rows: of the later ones nothing is needed.
+        some = usable[rows - first, : rows[-1] + 1]
+        result[rows - first] = _parents_of(observations, rows, some, count, correlation_m, model)
+    return result
+
+
+def _parents_of(
+    observations: Observations, rows: Any, usable: Any, count: int, correlation_m: float, model: SignalModel
+) -> Any:
+    """(r, count) ``informative_parents`` of ``rows`` (r,) among the first n, as far as ``usable`` (r, n)."""
+    result = np.full((rows.size, count), -1, dtype=np.int64)
+    columns = np.arange(usable.shape[1])
+    pool = min(_POOL, columns.size)
+    alike = _shadowing_covariance(observations, rows[:, None], columns, correlation_m, model)
+    alike = np.where(usable, alike * (1.0 - _TIE * columns), 0.0)
     near = np.sort(np.argpartition(alike, -pool, axis=1)[:, -pool:], axis=1)
     toward = np.take_along_axis(alike, near, axis=1)
     among = _shadowing_covariance(observations, near[:, :, None], near[:, None, :], correlation_m, model)

@@ -128,14 +128,19 @@ class History:
         settings, before, more = self._settings, self.count, rows.shape[0]
         rows = rows.copy()
         every = np.concatenate([self._rows, rows])
-        gap2 = sum(np.square(rows[:, axis, None] - every[:, axis]) for axis in range(3))
-        same = rows[:, _LINK, None] == every[:, _LINK]
+        gap2, apart = np.zeros((more, before + more)), np.empty((more, before + more))
+        for axis in range(3):
+            np.subtract(rows[:, axis, None], every[:, axis].copy(), out=apart)
+            apart *= apart
+            gap2 += apart
         earlier = np.arange(before + more) < before + np.arange(more)[:, None]
+        of_same = (rows[:, _LINK, None] == every[:, _LINK]) & earlier
         kept = np.ones(before + more, dtype=bool)
-        near = same & earlier & (gap2 < settings.place_radius_m**2)
-        if refuse and near.sum(axis=1).max() >= settings.windows_per_place:
-            for number in range(more):
-                kept[before + number] = (near[number] & kept).sum() < settings.windows_per_place
+        if refuse:
+            near = of_same & (gap2 < settings.place_radius_m**2)
+            if near.sum(axis=1).max() >= settings.windows_per_place:
+                for number in range(more):
+                    kept[before + number] = (near[number] & kept).sum() < settings.windows_per_place
         usable = earlier & kept & np.isfinite(every[:, _RSS])
         nobody = np.full((before + more, 0), -1, dtype=np.int64)
         parents = informative_parents(
@@ -148,7 +153,7 @@ class History:
         )
         place = np.cumsum(kept) - 1
         parents = np.where(parents >= 0, place[parents], -1)
-        told = same & earlier & kept & np.isfinite(every[:, _AZ])
+        told = of_same & kept & np.isfinite(every[:, _AZ])
         gap = np.sqrt(np.where(told, gap2, np.inf).min(axis=1))
         rows[:, _FRESH] = np.maximum(-np.expm1(-2.0 * gap / settings.correlation_m), _LEAST_FRESH)
         rows[:, _SHARP] = np.maximum(-np.expm1(-2.0 * gap / settings.angle_correlation_m), _LEAST_FRESH)

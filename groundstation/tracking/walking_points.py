@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.localization.likelihood import null_loss_db, path_loss_db
+from groundstation.localization.likelihood import DB_OF_LOG, logs_of_squares
 from groundstation.localization.problem import FloatArray, SignalModel
 from groundstation.tracking.belief import Belief
 
@@ -91,11 +91,15 @@ class Points:
 
 def losses_db(offset_m: FloatArray, null: bool) -> FloatArray:
     """(2, …) path loss and, with ``null``, loss in an antenna's null of order 1, over ``offset_m`` (3, …)."""
-    flat = offset_m.reshape(3, -1).T
-    here = np.zeros((1, 3))
-    path = path_loss_db(here, flat)
-    deep = null_loss_db(here, flat, path) if null else np.zeros_like(path)
-    return np.stack([path, deep]).reshape(2, *offset_m.shape[1:])
+    east, north, up = offset_m
+    flat = east * east
+    flat += north * north
+    path, deep = logs_of_squares(up * up + flat, flat, null)
+    result = np.zeros((2, *path.shape))
+    np.multiply(path, DB_OF_LOG, out=result[0])
+    if null:
+        np.multiply(deep, DB_OF_LOG, out=result[1])
+    return result
 
 
 def grown_covariance(covariance: FloatArray, links: int) -> FloatArray:

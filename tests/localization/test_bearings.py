@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from groundstation.localization import bearings
 from groundstation.localization.bearings import Bearings, angle_log_likelihood
 from groundstation.localization.mesh import Mesh
 from groundstation.localization.problem import SignalModel
@@ -96,6 +97,33 @@ def test_batches_and_vehicles_that_come_later_do_not_matter() -> None:
     np.testing.assert_allclose(log - log[:, :1], whole - whole[:, :1], atol=0.05)
 
 
+def test_rounds_worked_out_together_are_those_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Vehicles with windows more or fewer, places on and off the rays: the same bits."""
+    seen = flight(17, 3, error_rad=0.01, p=0.8)
+    seen.link[:] = [0, 1, 1, 2, 0, 0, 1, 0, 2, 1, 0, 0, 0, 1, 0, 2, 0]
+    seen.azimuth_rad[3] += 1.0
+    model = replace(CERTAIN, angle_outlier_probability=0.05, los_shares=(0.2, 0.8))
+    mesh = Mesh(points(40, 30.0), np.full((40, 2), 2.0), np.zeros(40))
+    told = []
+    for at_once in (1, 200, 100_000):
+        monkeypatch.setattr(bearings, "_PAIRS", at_once)
+        log, errors = np.zeros((2, 40)), Bearings.empty(40, 3, model)
+        errors.add(seen, 0, mesh, model, log)
+        told.append((log, errors.mean, errors.variance))
+    for other in told[1:]:
+        for one, two in zip(told[0], other, strict=True):
+            np.testing.assert_allclose(two, one, rtol=1e-12)
+    # And as if every vehicle's windows had come one batch at a time.
+    log, errors = np.zeros((2, 40)), Bearings.empty(40, 3, model)
+    turns = np.array([(seen.link[:row] == seen.link[row]).sum() for row in range(17)])
+    for turn in range(turns.max() + 1):
+        chosen = np.flatnonzero(turns == turn)
+        part = Observations(*(getattr(seen, name)[chosen] for name in Observations.__dataclass_fields__))
+        errors.add(part, 0, mesh, model, log)
+    np.testing.assert_allclose(log, told[0][0], rtol=1e-12)
+    np.testing.assert_allclose(errors.mean, told[0][1], rtol=1e-12)
+
+
 def test_a_stray_bearing_teaches_nothing_about_the_compass() -> None:
     seen = flight(10, error_rad=0.01, p=0.95)
     seen.azimuth_rad[6] += 1.5
@@ -106,6 +134,25 @@ def test_a_stray_bearing_teaches_nothing_about_the_compass() -> None:
     before = errors[0].mean.copy()
     errors[0].add(shown(seen, 7), 6, mesh, model, np.zeros((1, 1)))
     np.testing.assert_allclose(errors[0].mean, before, atol=1e-6)
+
+
+def test_a_bearing_that_may_be_a_stray_leaves_the_spread_of_both_cases() -> None:
+    """About as likely a reflection as not: mean and variance of the compass are the mixture's."""
+    seen = flight(1, p=0.5, noise_rad=0.0)
+    seen.azimuth_rad[0] += 0.1
+    model = replace(CERTAIN, angle_outlier_probability=0.05)
+    log, errors = np.zeros((1, 1)), Bearings.empty(1, 1, model)
+    errors.add(seen, 0, Mesh(TRUTH[None], small(1), np.zeros(1)), model, log)
+    prior = CERTAIN.angle_bias_std_rad**2
+    total, gain = WHITE**2 + prior, prior / (WHITE**2 + prior)
+    density = multivariate_normal([0.0, 0.0], total * np.eye(2)).pdf([0.1, 0.0])
+    right, stray = 0.5 * 0.95 * density, (0.5 * 0.05 + 0.5) / (2.0 * np.pi**2)
+    genuine = right / (right + stray)
+    assert 0.3 < genuine < 0.9
+    moved = gain * 0.1
+    second = (1.0 - genuine) * prior + genuine * (prior * (1.0 - gain) + moved**2)
+    np.testing.assert_allclose(errors.mean[0, 0, 0], genuine * moved, rtol=1e-4)
+    np.testing.assert_allclose(errors.variance[0, 0, 0], second - (genuine * moved) ** 2, rtol=1e-4)
 
 
 def test_bearings_from_one_place_claim_little_but_keep_their_shape() -> None:

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from groundstation.localization import regression
 from groundstation.localization.bearings import angle_log_likelihood
 from groundstation.localization.likelihood import (
+    DB_OF_LOG,
     ExponentGrid,
     bearing_density,
+    log_squares,
     mixture_variance_db2,
     path_loss_db,
 )
@@ -127,6 +130,36 @@ def test_batches_do_not_matter() -> None:
     one = evidence_of(seen, candidates, []).log_likelihood_on_grid(grid)
     many = evidence_of(seen, candidates, list(range(1, 12))).log_likelihood_on_grid(grid)
     assert np.allclose(one, many, atol=1e-9)
+
+
+def test_how_many_losses_are_worked_out_at_once_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = flight(12, 4, 3, foreign=True)
+    candidates = np.random.default_rng(2).uniform(-80, 80, (7, 3))
+    rows, sums = whiten(seen, 0, 2, 25.0, MODEL), []
+    for block in (1, 36, 10_000):
+        monkeypatch.setattr(regression, "_BLOCK", block)
+        sums.append(Evidence.empty(7, 2))
+        sums[-1].add(seen, rows, candidates, null=True)
+    for other in sums[1:]:
+        np.testing.assert_allclose(other.level_path, sums[0].level_path, rtol=1e-12)
+        np.testing.assert_allclose(other.path_path, sums[0].path_path, rtol=1e-12)
+        np.testing.assert_allclose(other.loading_path, sums[0].loading_path, rtol=1e-9, atol=1e-9)
+
+
+def test_losses_are_those_of_the_distance_and_the_elevation() -> None:
+    """Slant, straight below (17 dB at most) and closer than 1 m; each in dB."""
+    vehicle = np.array([[3.0, -4.0, 60.0]])
+    places = np.array([[43.0, 26.0, 10.0], [3.2, -4.1, 20.0], [3.1, -4.0, 60.2]])
+    path, deep = log_squares(vehicle, places, null=True)
+    slant_m, below_m = np.hypot(50.0, 50.0), np.linalg.norm(places[1] - vehicle[0])
+    np.testing.assert_allclose(
+        DB_OF_LOG * path[0], [10 * np.log10(slant_m), 10 * np.log10(below_m), 0.0], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        DB_OF_LOG * deep[0], [10 * np.log10(2.0), -10 * np.log10(0.02), 0.0], atol=1e-9
+    )
+    np.testing.assert_allclose(DB_OF_LOG * path, path_loss_db(vehicle, places), atol=1e-9)
+    assert log_squares(vehicle, places, null=False)[1] is None
 
 
 def test_second_visit_to_a_place_teaches_little() -> None:

@@ -3,8 +3,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from groundstation.localization import SignalModel
+from groundstation.localization import SignalModel, whitening
 from groundstation.localization.whitening import Observations, informative_parents, whiten
 
 MODEL = SignalModel(nlos_rss_std_db=5.0, shared_shadowing=0.5)
@@ -99,6 +100,18 @@ def test_only_usable_rows_become_parents_and_no_row_twice() -> None:
         assert len(set(told)) == len(told)
         assert all(usable[row, parent] for parent in told)
     assert (parents[0] == -1).all()
+
+
+def test_how_many_rows_are_related_at_once_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = laps(170, 2)
+    parents = []
+    for at_once in (1, 64, 1000):
+        monkeypatch.setattr(whitening, "_AT_ONCE", at_once)
+        parents.append(chosen(seen, 4))
+    assert (parents[0] == parents[1]).all()
+    assert (parents[0] == parents[2]).all()
+    some = informative_parents(seen, 150, earlier(170)[150:], 4, CORRELATION_M, MODEL)
+    assert (some == parents[0][150:]).all()
 
 
 def test_vehicles_with_fields_of_their_own_are_no_parents() -> None:
