@@ -80,8 +80,10 @@ class TrackingSettings:
     """Nobody in rubble is faster, m/s."""
     walking_memory_s: float = 60.0
     """How long a walker keeps direction and speed, seconds."""
-    walking_particles: int = 500
-    """Particles of a walker."""
+    walking_particles: int = 2000
+    """Particles of a walker who is suspected: with fewer, bearings leave a handful and a region too small."""
+    walking_watch_particles: int = 500
+    """The same where nobody is."""
     walking_births: int = 40
     """Of them, those that may start to walk at each step."""
     walking_points: int = 160

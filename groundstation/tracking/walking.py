@@ -94,11 +94,19 @@ class Walk:
         return self._settings.walking_prior > 0.0 or self._settings.walking_rate_per_s > 0.0
 
     @property
+    def _suspected(self) -> bool:
+        return self.probability > self._settings.walking_suspected
+
+    @property
+    def _particles(self) -> int:
+        settings = self._settings
+        return settings.walking_particles if self._suspected else settings.walking_watch_particles
+
+    @property
     def due_s(self) -> float:
         """When the next step is due, station seconds: sooner where walking is suspected."""
         settings = self._settings
-        suspected = self.probability > settings.walking_suspected
-        wait_s = settings.walking_interval_s if suspected else settings.walking_watch_interval_s
+        wait_s = settings.walking_interval_s if self._suspected else settings.walking_watch_interval_s
         return -math.inf if self.time_s is None else self.time_s + wait_s
 
     @property
@@ -181,7 +189,7 @@ class Walk:
         points, weight = self._points.grown(links, model), np.zeros(0)
         if share > 0.0:
             # Whoever starts to walk now starts where the still belief is.
-            births = settings.walking_particles if first else settings.walking_births
+            births = self._particles if first else settings.walking_births
             born = self._sent_off(still.take(systematic(self._still_weight, births, rng)), rng)
             starting = (1.0 - self.probability) * share
             points = self._moved(Points.joined(points, born), elapsed_s, rng)
@@ -206,7 +214,7 @@ class Walk:
         walking_log = math.log(max(float(weight.sum()), 1e-300)) + top
         self.probability = 1.0 / (1.0 + math.exp(min(standing_log - walking_log, 700.0)))
         self._covariance = moving.covariance
-        self._points = moving.points.take(systematic(weight, settings.walking_particles, rng)).settled()
+        self._points = moving.points.take(systematic(weight, self._particles, rng)).settled()
 
     def power(self) -> tuple[float, float]:
         """Mean (dBm) and standard deviation (dB) of the transmit power, were the person walking."""

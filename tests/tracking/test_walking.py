@@ -49,8 +49,18 @@ def test_particles_stay_slow_and_inside() -> None:
         assert (np.hypot(*points.velocity_mps) < SETTINGS.walking_speed_max_mps + 1e-9).all()
         assert (np.hypot(*points.position_enu_m[:2]) < AREA.radius_m + 1e-6).all()
         assert (np.abs(points.position_enu_m[2] - 10.5) <= 9.5).all()
+    # Whoever is suspected is followed by more of them.
+    assert walk.probability > SETTINGS.walking_suspected
     assert points.count == SETTINGS.walking_particles
-    assert 0.0 < walk.probability < 1.0
+
+
+def test_nobody_suspected_costs_few_particles() -> None:
+    belief = Belief(AREA, PAPER, SETTINGS)
+    walk = Walk(AREA, belief.model, replace(SETTINGS, walking_suspected=2.0), 1)
+    for windows in flight(12):
+        belief.update(windows)
+        walk.step(windows, belief)
+    assert walk.points.count == SETTINGS.walking_watch_particles < SETTINGS.walking_particles
 
 
 def test_power_foretold_window_by_window_is_the_likelihood_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
