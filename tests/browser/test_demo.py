@@ -112,12 +112,18 @@ def send_one(page: Page) -> str:
     deadline = time.monotonic() + STEP_S
     while time.monotonic() < deadline:
         confirm = page.locator('[data-testid^="proposal-confirm-"]:enabled').first
-        proposal_id = (confirm.get_attribute("data-testid") or "").removeprefix("proposal-confirm-")
-        heading = page.get_by_test_id(f"proposal-{proposal_id}").get_by_role("button").first.inner_text()
+        try:
+            proposal_id = (confirm.get_attribute("data-testid", timeout=3000) or "").removeprefix(
+                "proposal-confirm-"
+            )
+            card = page.get_by_test_id(f"proposal-{proposal_id}")
+            heading = card.get_by_role("button").first.inner_text(timeout=3000)
+        except Error:  # replaced while it was read
+            continue
         vehicle = re.match(r"Vehicle (\d+) → \d+ m [NESW]{1,2}", heading)
         assert vehicle, heading
         try:
-            confirm.click(timeout=3000)
+            page.get_by_test_id(f"proposal-confirm-{proposal_id}").click(timeout=3000)
             send = page.get_by_test_id(f"proposal-send-{proposal_id}")
             expect(send).to_contain_text(f"Send vehicle {vehicle[1]}: ", timeout=3000)
             send.click(timeout=3000)
