@@ -108,11 +108,6 @@ def mixture_variance_db2(los_probability: FloatArray, model: SignalModel, bias_m
     return result
 
 
-def path_loss_db(vehicle_enu_m: FloatArray, candidates: FloatArray) -> FloatArray:
-    """10 log₁₀ of the distances (n, 3) × (C, 3) → (n, C); distances under 1 m count as 1 m."""
-    return path_loss_of_square(_square_distance(vehicle_enu_m[:, :3], candidates[:, :3]))
-
-
 def _square_distance(vehicle_m: FloatArray, candidates: FloatArray) -> FloatArray:
     """(n, d) × (C, d) → (n, C), m²: one product of matrices, about a middle that keeps the numbers small."""
     middle = vehicle_m.mean(axis=0) if vehicle_m.size else 0.0
@@ -158,9 +153,7 @@ def logs_of_squares(square_m2: FloatArray, flat_m2: FloatArray, null: bool) -> t
 
 def path_loss_of_square(square_m2: FloatArray) -> FloatArray:
     """10 log₁₀ of the root of squared distances, in place; distances under 1 m count as 1 m."""
-    np.maximum(square_m2, _MINIMUM_DISTANCE_M**2, out=square_m2)
-    # NumPy has a vector loop for log, none for log10.
-    np.log(square_m2, out=square_m2)
+    logs_of_squares(square_m2, square_m2, null=False)
     square_m2 *= DB_OF_LOG
     return square_m2
 

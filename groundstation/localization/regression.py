@@ -15,16 +15,12 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import scipy.sparse
 
-from groundstation.localization.likelihood import DB_OF_LOG, ExponentGrid, log_squares
+from groundstation.localization.likelihood import ExponentGrid
 from groundstation.localization.problem import FloatArray, SignalModel
-from groundstation.localization.whitening import Observations, Whitened, whiten
+from groundstation.localization.regressors import Mixer
+from groundstation.localization.whitening import Observations, Whitened
 
-__all__ = ["Evidence", "Observations", "Whitened", "whiten"]
-
-_FEW_ROWS = 64
-"""Up to here, setting up a sparse matrix costs more than it saves."""
 _BLOCK = 48_000
 """Losses (windows × candidates) worked out at once: more does not stay in the processor's cache."""
 _PAIR = ((0, 1, 3), (1, 2, 4), (3, 4, 5))
@@ -122,7 +118,7 @@ class Evidence:
         self.loading_loading += rows.loading.T @ rows.loading
         used = np.flatnonzero(rows.loading.any(axis=0))
         part = np.ascontiguousarray(rows.loading[:, used].T)
-        mixer = _Mixer.of(observations, rows)
+        mixer = Mixer.of(observations, rows)
         at_once = max(_BLOCK // mixer.place_enu_m.shape[0], 1)
         for start in range(0, self.candidates, at_once):
             cells = slice(start, start + at_once)
@@ -142,7 +138,7 @@ class Evidence:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Whitened losses of each row at each candidate: path of LOS, path of NLOS, null; (r, C) each, dB."""
         nothing = np.zeros((rows.rows.size, candidates.shape[0]))
-        los, nlos, deep = _Mixer.of(observations, rows).regressors(candidates, null)
+        los, nlos, deep = Mixer.of(observations, rows).regressors(candidates, null)
         return (
             nothing if los is None else los,
             nothing if nlos is None else nlos,
@@ -181,7 +177,10 @@ class Evidence:
     def log_likelihood_on_grid(
         self, exponents: ExponentGrid, noise_degrees: float | None = None
     ) -> FloatArray:
-        """``log_likelihood`` as a sum over the grid's nodes; antennas without a null."""
+        """``log_likelihood`` as a plain sum over a grid: what the closed form is held against in tests.
+
+        Antennas without a null, limits of β_NLOS as they stand.
+        """
         constant, cross, square = self._reduced()
         los, nlos = exponents.los[:, None], exponents.nlos[:, None]
         form = constant + 2.0 * (los * cross[0] + nlos * cross[1])
@@ -316,61 +315,6 @@ class Evidence:
             + null * self.loading_path[2, :, candidate]
         )
         return np.asarray(np.linalg.solve(self.loading_loading, right), dtype=np.float64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Mixer:
-    """How r whitened rows mix the losses of the m windows that they and their parents are."""
-
-    place_enu_m: FloatArray
-    """(m, 3)"""
-    los: Any
-    """(r, m) weights of the path losses as LOS links'; None: no link is in line of sight."""
-    nlos: Any
-    """(r, m) as NLOS links'; None: all are in line of sight."""
-    whole: Any
-    """(r, m) weights of a loss that all links have."""
-
-    @classmethod
-    def of(cls, observations: Observations, rows: Whitened) -> _Mixer:
-        parents = observations.parents[rows.rows]
-        family = np.concatenate([rows.rows[:, None], np.where(parents >= 0, parents, 0)], axis=1)
-        wanted = np.zeros(observations.count, dtype=bool)
-        wanted[family] = True
-        needed = np.flatnonzero(wanted)
-        where = (np.cumsum(wanted) - 1)[family]
-        shape = (rows.rows.size, needed.size)
-        index = np.arange(shape[0])[:, None]
-
-        def table(weights: FloatArray) -> Any:
-            if shape[0] <= _FEW_ROWS:
-                flat = (index * shape[1] + where).ravel()
-                return np.bincount(flat, weights.ravel(), shape[0] * shape[1]).reshape(shape)
-            # Few entries a row: a sparse product costs a hundredth of the dense one.
-            at = np.broadcast_to(index, where.shape).ravel()
-            return scipy.sparse.csr_array((weights.ravel(), (at, where.ravel())), shape=shape)
-
-        p = observations.los_probability[needed]
-        return cls(
-            observations.position_enu_m[needed],
-            table(rows.mixing * p[where]) if p.any() else None,
-            table(rows.mixing * (1.0 - p[where])) if (p < 1.0).any() else None,
-            table(rows.mixing),
-        )
-
-    def regressors(self, candidates: FloatArray, null: bool) -> list[FloatArray | None]:
-        """(r, C) whitened losses: path as LOS, path as NLOS, null; None = all zero."""
-        path, deep = log_squares(self.place_enu_m, candidates, null)
-
-        def mixed(table: Any, loss: Any) -> FloatArray | None:
-            if table is None or loss is None:
-                return None
-            result: FloatArray = np.asarray(table @ loss)
-            # Into dB only here: the rows are fewer than the windows that they mix.
-            result *= DB_OF_LOG
-            return result
-
-        return [mixed(self.los, path), mixed(self.nlos, path), mixed(self.whole, deep)]
 
 
 def _log_density(form: FloatArray, count: int, noise_degrees: float | None) -> FloatArray:

@@ -113,14 +113,20 @@ def _shadowing_covariance(
     return gap
 
 
+def _shadowing_variance_db2(observations: Observations, model: SignalModel) -> FloatArray:
+    """(n,) of the shadowing that neighbours share: the diagonal of ``_shadowing_covariance``."""
+    p = observations.los_probability
+    result: FloatArray = p**2 * model.rss_std_db**2 + (1.0 - p) ** 2 * model.nlos_rss_std_db**2
+    return result
+
+
 def _nugget_db2(observations: Observations, model: SignalModel) -> FloatArray:
     """(n,) variance that no other observation shares: noise, and not knowing the link's state."""
     p = observations.los_probability
     total = p * model.rss_std_db**2 + (1.0 - p) * model.nlos_rss_std_db**2
-    shadowing = p**2 * model.rss_std_db**2 + (1.0 - p) ** 2 * model.nlos_rss_std_db**2
     result: FloatArray = (
         total
-        - shadowing
+        - _shadowing_variance_db2(observations, model)
         + mixture_variance_db2(p, model, model.nlos_bias_max_db)
         + observations.white_variance_db2
     )
@@ -165,8 +171,7 @@ def _parents_of(
     toward = np.take_along_axis(alike, near, axis=1)
     among = _shadowing_covariance(observations, near[:, :, None], near[:, None, :], correlation_m, model)
     nugget = _nugget_db2(observations, model)
-    p = observations.los_probability
-    own = p**2 * model.rss_std_db**2 + (1.0 - p) ** 2 * model.nlos_rss_std_db**2
+    own = _shadowing_variance_db2(observations, model)
     diagonal = np.arange(pool)
     among[:, diagonal, diagonal] += nugget[near]
     left = among[:, diagonal, diagonal].copy()
@@ -203,7 +208,7 @@ def whiten(
     present = parents >= 0
     safe = np.where(present, parents, 0)
     p = observations.los_probability
-    shadowing = p**2 * model.rss_std_db**2 + (1.0 - p) ** 2 * model.nlos_rss_std_db**2
+    shadowing = _shadowing_variance_db2(observations, model)
     nugget = _nugget_db2(observations, model)
     among = _shadowing_covariance(observations, safe[:, :, None], safe[:, None, :], correlation_m, model) * (
         present[:, :, None] & present[:, None, :]

@@ -22,7 +22,8 @@ from groundstation.localization.bearings import Bearings
 from groundstation.localization.likelihood import ExponentGrid
 from groundstation.localization.mesh import IntArray, Mesh, MeshSettings, masses, refine
 from groundstation.localization.problem import FloatArray, SearchArea, SignalModel
-from groundstation.localization.regression import Evidence, Observations, Whitened, whiten
+from groundstation.localization.regression import Evidence
+from groundstation.localization.whitening import Observations, Whitened, whiten
 from groundstation.tracking.history import History, TrackObservation
 from groundstation.tracking.settings import TrackingSettings
 

@@ -2,7 +2,7 @@
 
 Exists because a walker's filter, unlike the still belief, cannot go back to old windows: the
 person was elsewhere then. Rule: same rows and same whitening as the still belief's (``history``,
-``regression.whiten``), with the newest window of each vehicle as the only past.
+``whitening.whiten``), with the newest window of each vehicle as the only past.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.localization.problem import FloatArray, SignalModel
-from groundstation.localization.regression import Observations, Whitened, whiten
+from groundstation.localization.whitening import Observations, Whitened, whiten
 from groundstation.tracking.history import WHITE, History, TrackObservation, observations_of
 from groundstation.tracking.settings import TrackingSettings
 

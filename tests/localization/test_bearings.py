@@ -10,7 +10,7 @@ from groundstation.localization import bearings
 from groundstation.localization.bearings import Bearings, angle_log_likelihood
 from groundstation.localization.mesh import Mesh
 from groundstation.localization.problem import SignalModel
-from groundstation.localization.regression import Observations
+from groundstation.localization.whitening import Observations
 
 CERTAIN = SignalModel(angle_outlier_probability=0.0, angle_bias_std_rad=0.02, los_shares=(0.5,))
 WHITE = 0.015

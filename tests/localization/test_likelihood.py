@@ -14,10 +14,17 @@ from groundstation.localization.likelihood import (
     bearing_density,
     log_squares,
     mixture_variance_db2,
-    path_loss_db,
 )
 from groundstation.localization.problem import SignalModel
-from groundstation.localization.regression import Evidence, Observations, whiten
+from groundstation.localization.regression import Evidence
+from groundstation.localization.whitening import Observations, whiten
+
+
+def path_loss_db(place: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    """10 log₁₀ of the distances (n, 3) × (C, 3) → (n, C), as the paper writes it."""
+    gap = np.linalg.norm(place[:, None] - candidates, axis=-1)
+    return np.asarray(10.0 * np.log10(np.maximum(gap, 1.0)))
+
 
 MODEL = SignalModel(receiver_offset_std_db=1.5, los_exponent_std=0.2)
 
@@ -268,6 +275,52 @@ def fine_grid(model: SignalModel) -> ExponentGrid:
     nlos = model.nlos_exponent_min + span * (np.arange(400) + 0.5) / 400
     mass = np.repeat(weight / weight.sum() / 400, 400)
     return ExponentGrid(np.repeat(los, 400), np.tile(nlos, 121), np.log(mass), los, nlos, model)
+
+
+def test_exponents_beyond_their_limits_are_unlikely_not_impossible() -> None:
+    """Limits far under the truth: the sum over a grid with the prior's tails, and the mean goes there."""
+    seen = flight(40, 9, parents=3)
+    places = np.array([[0.0, 0.0, 0.0], [40.0, -20.0, 0.0], [-50.0, 30.0, 0.0]])
+    rng = np.random.default_rng(2)
+    heard = 15.5 - 4.0 * path_loss_db(seen.position_enu_m, places[:1])[:, 0] - 4.0
+    seen = replace(
+        seen,
+        rss_dbm=heard + rng.standard_normal(40),
+        los_probability=np.zeros(40),
+        link=np.zeros(40, dtype=int),
+    )
+    hard = replace(MODEL, nlos_exponent_min=2.0, nlos_exponent_max=3.0, los_exponent_std=0.0)
+    soft = replace(hard, nlos_exponent_doubt=0.15)
+    evidence = evidence_of(seen, places, [], hard)
+    assert evidence.means_at(0, ExponentGrid.of(hard))[1] < 3.0
+    assert 3.2 < evidence.means_at(0, ExponentGrid.of(soft))[1] < 4.2
+    nlos = np.linspace(1.0, 5.5, 1500)
+    beyond = np.log(np.maximum(2.0 / nlos, 1.0)) + np.log(np.maximum(nlos / 3.0, 1.0))
+    grid = ExponentGrid(
+        np.full(1500, soft.los_exponent), nlos, -beyond / 0.15, np.array([soft.los_exponent]), nlos, soft
+    )
+    summed, ours = evidence.log_likelihood_on_grid(grid), evidence.log_likelihood(ExponentGrid.of(soft))
+    np.testing.assert_allclose(ours - ours[0], summed - summed[0], atol=0.05)
+    tight = evidence.log_likelihood(ExponentGrid.of(hard))
+    assert np.abs((tight - tight[0]) - (summed - summed[0])).max() > 0.3
+
+
+def test_noise_may_be_higher_than_told_and_never_lower() -> None:
+    seen = flight(40, 9, parents=3)
+    places = np.array([[0.0, 0.0, 0.0], [40.0, -20.0, 0.0]])
+
+    def contrast(spread_db: float, degrees: float | None) -> float:
+        """How much the first place, where it is, is ahead."""
+        rng = np.random.default_rng(5)
+        heard = 15.5 - 3.0 * path_loss_db(seen.position_enu_m, places[:1])[:, 0]
+        told = replace(
+            seen, rss_dbm=heard + spread_db * rng.standard_normal(40), los_probability=np.zeros(40)
+        )
+        first, second = evidence_of(told, places, []).log_likelihood(ExponentGrid.of(MODEL), degrees)
+        return float(first - second)
+
+    assert contrast(0.1, 5.0) == pytest.approx(contrast(0.1, None), rel=1e-6)
+    assert abs(contrast(25.0, 5.0)) < 0.5 * abs(contrast(25.0, None))
 
 
 @pytest.mark.parametrize("limits", [(2.0, 3.5), (1.5, 8.0), (4.0, 5.0)])

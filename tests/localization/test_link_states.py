@@ -11,7 +11,8 @@ from groundstation.localization.bearings import angle_log_likelihood
 from groundstation.localization.likelihood import ANYWHERE, ExponentGrid
 from groundstation.localization.link_states import MAXIMUM_DOUBTFUL, LinkStates, doubtful_links
 from groundstation.localization.problem import Links, SignalModel
-from groundstation.localization.regression import Evidence, Observations, whiten
+from groundstation.localization.regression import Evidence
+from groundstation.localization.whitening import Observations, whiten
 
 MODEL = SignalModel(
     receiver_offset_std_db=1.5,

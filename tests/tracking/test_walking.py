@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from groundstation.localization import SERVICE_MODEL, SearchArea, SignalModel
-from groundstation.localization.regression import Evidence, whiten
+from groundstation.localization.regression import Evidence
+from groundstation.localization.whitening import whiten
 from groundstation.tracking import Belief, TrackingSettings, TrackObservation, walking
 from groundstation.tracking.history import History
 from groundstation.tracking.walking import Walk
