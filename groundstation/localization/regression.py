@@ -116,8 +116,10 @@ class Evidence:
         self.level_level += float(rows.level @ rows.level)
         self.level_loading += rows.loading.T @ rows.level
         self.loading_loading += rows.loading.T @ rows.loading
-        used = np.flatnonzero(rows.loading.any(axis=0))
-        part = np.ascontiguousarray(rows.loading[:, used].T)
+        used: Any = np.flatnonzero(rows.loading.any(axis=0))
+        part = np.concatenate([rows.level[None], rows.loading[:, used].T])
+        # All at once needs no copy there and back.
+        used = slice(None) if used.size == rows.loading.shape[1] else used
         mixer = Mixer.of(observations, rows)
         at_once = max(_BLOCK // mixer.place_enu_m.shape[0], 1)
         for start in range(0, self.candidates, at_once):
@@ -126,8 +128,9 @@ class Evidence:
             for number, one in enumerate(regressors):
                 if one is None:
                     continue
-                self.level_path[number, cells] += rows.level @ one
-                self.loading_path[number, used, cells] += part @ one
+                along = part @ one
+                self.level_path[number, cells] += along[0]
+                self.loading_path[number, used, cells] += along[1:]
                 for other, two in enumerate(regressors[: number + 1]):
                     if two is not None:
                         self.path_path[_PAIR[other][number], cells] += np.einsum("rc,rc->c", two, one)

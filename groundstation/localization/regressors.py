@@ -49,10 +49,12 @@ class Mixer:
         def table(weights: FloatArray) -> Any:
             if shape[0] <= _FEW_ROWS:
                 flat = (index * shape[1] + where).ravel()
-                return np.bincount(flat, weights.ravel(), shape[0] * shape[1]).reshape(shape)
+                full = np.bincount(flat, weights.ravel(), shape[0] * shape[1])
+                return full.astype(np.float32).reshape(shape)
             # Few entries a row: a sparse product costs a hundredth of the dense one.
             at = np.broadcast_to(index, where.shape).ravel()
-            return scipy.sparse.csr_array((weights.ravel(), (at, where.ravel())), shape=shape)
+            entries = weights.ravel().astype(np.float32)
+            return scipy.sparse.csr_array((entries, (at, where.ravel())), shape=shape)
 
         p = observations.los_probability[needed]
         return cls(
@@ -69,9 +71,8 @@ class Mixer:
         def mixed(table: Any, loss: Any) -> FloatArray | None:
             if table is None or loss is None:
                 return None
-            result: FloatArray = np.asarray(table @ loss)
-            # Into dB only here: the rows are fewer than the windows that they mix.
-            result *= DB_OF_LOG
+            # Into dB, and double precision, only here: the rows are fewer than the windows that they mix.
+            result: FloatArray = np.multiply(table @ loss, DB_OF_LOG, dtype=np.float64)
             return result
 
         return [mixed(self.los, path), mixed(self.nlos, path), mixed(self.whole, deep)]

@@ -10,7 +10,7 @@ moments.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,12 @@ class Observations:
         """n."""
         return int(self.rss_dbm.size)
 
+    def take(self, rows: Any) -> Observations:
+        """Some of them, related to nobody: for their bearings."""
+        parts = {entry.name: getattr(self, entry.name)[rows] for entry in fields(self)}
+        parts["parents"] = np.full((parts["link"].size, 0), -1, dtype=np.int64)
+        return Observations(**parts)
+
 
 _POOL = 16
 """Of so many most alike the parents are chosen."""
@@ -80,6 +86,10 @@ class Whitened:
     """(r, 1 + V): on (P_t, offset of each link), in prior standard deviations."""
     scale: FloatArray
     """(r,) standard deviation before whitening, dB."""
+
+    def take(self, chosen: Any) -> Whitened:
+        """The rows that ``chosen`` selects, by mask or by number."""
+        return Whitened(*(getattr(self, entry.name)[chosen] for entry in fields(self)))
 
     def of_links(self, links: int) -> Whitened:
         """The same rows where there are more links by now."""

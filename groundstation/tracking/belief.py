@@ -20,10 +20,11 @@ import numpy as np
 
 from groundstation.localization.bearings import Bearings
 from groundstation.localization.likelihood import ExponentGrid
-from groundstation.localization.mesh import IntArray, Mesh, MeshSettings, masses, refine
+from groundstation.localization.mesh import Mesh, MeshSettings, masses
 from groundstation.localization.problem import FloatArray, SearchArea, SignalModel
 from groundstation.localization.regression import Evidence
 from groundstation.localization.whitening import Observations, Whitened, whiten
+from groundstation.tracking.candidates import Candidates
 from groundstation.tracking.history import History, TrackObservation
 from groundstation.tracking.settings import TrackingSettings
 
@@ -32,6 +33,8 @@ __all__ = ["Belief", "Field", "TrackObservation", "Update"]
 Field = Callable[[FloatArray, FloatArray], FloatArray]
 """Log likelihood (C,) of boxes: centres (C, 3), half widths and heights (C, 2), metres ENU."""
 
+_DEAR = 2.0
+"""A box may hold so many times as much before boxes are laid anew where that means weighing all windows."""
 _JUDGES = 64
 """Most likely places at which a power is judged."""
 
@@ -73,28 +76,32 @@ class Belief:
         )
         self._area = area
         self._history = History(self._model, settings)
-        self._mesh = Mesh(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
-        self._evidence = Evidence.empty(0, 0, len(settings.los_shares))
-        self._bearings = Bearings.empty(0, 0, self._model)
-        self._log_likelihood: FloatArray = np.zeros(0)
+        self._boxes = Candidates(self._model, self._exponents, settings.noise_degrees)
         self._fields: dict[str, Field] = {}
         self._field_log: FloatArray | None = None
         self._remesh_mass = settings.remesh_mass
         self._whole = True
         """Whether the sums are those of the remembered windows, none forgotten among them."""
+        self._unwatched = 0
+        """Windows since the boxes that were let go were last looked at."""
         self._rebuild()
 
     @property
     def mesh(self) -> Mesh:
         """The candidate boxes."""
         self._renew_fields()
-        return self._mesh
+        return self._boxes.mesh
+
+    @property
+    def gone(self) -> Mesh:
+        """The rest of the area: boxes that held nothing and were let go."""
+        return self._boxes.gone
 
     @property
     def mass(self) -> FloatArray:
         """(C,) share of the belief in each box."""
         self._renew_fields()
-        return masses(self._total(), self._mesh)
+        return masses(self._total(), self._boxes.mesh)
 
     @property
     def log_likelihood(self) -> FloatArray:
@@ -136,17 +143,17 @@ class Belief:
     def evidence(self) -> Evidence:
         """The running sums at the boxes of ``mesh``; to read."""
         self._renew_fields()
-        return self._evidence
+        return self._boxes.evidence
 
     @property
     def bearings(self) -> Bearings:
         """What is known of the vehicles' constant errors at the boxes of ``mesh``; to read."""
         self._renew_fields()
-        return self._bearings
+        return self._boxes.bearings
 
     def observations(self) -> Observations:
         """The windows remembered; links are numbered as in ``vehicles``."""
-        return self._history.observations()
+        return self._history.related()
 
     def counts(self) -> dict[int, tuple[int, int, int]]:
         """Of each vehicle: windows taken, redundant, and taken with less weight as outliers."""
@@ -160,7 +167,9 @@ class Belief:
         """Posterior mean at the most likely place."""
         self._renew_fields()
         best = int(np.argmax(self._total()))
-        nuisance = self._evidence.nuisances_at(best, *self._evidence.means_at(best, self._exponents))
+        nuisance = self._boxes.evidence.nuisances_at(
+            best, *self._boxes.evidence.means_at(best, self._exponents)
+        )
         return self._model.transmit_power_mean_dbm + self._model.transmit_power_std_db * float(nuisance[0])
 
     def set_area(self, area: SearchArea) -> None:
@@ -181,7 +190,8 @@ class Belief:
         # Worked out when next asked for: of several set in a row only the last sum matters.
         self._field_log = None
 
-    def _fields_at(self, mesh: Mesh) -> FloatArray:
+    def fields_at(self, mesh: Mesh) -> FloatArray:
+        """(C,) log likelihood of boxes by all fields."""
         total = np.zeros(mesh.count)
         for name in sorted(self._fields):
             total += self._fields[name](mesh.center_enu_m, mesh.half_m)
@@ -189,12 +199,13 @@ class Belief:
 
     def _renew_fields(self) -> None:
         if self._field_log is None:
-            self._field_log = self._fields_at(self._mesh)
-            if self._heaviest() > self._remesh_mass:
+            self._field_log = self.fields_at(self._boxes.mesh)
+            if self._is_coarse():
                 self._rebuild(self._whole)
 
     def _total(self) -> FloatArray:
-        return self._log_likelihood if self._field_log is None else self._log_likelihood + self._field_log
+        told = self._boxes.log_likelihood
+        return told if self._field_log is None else told + self._field_log
 
     def update(self, batch: list[TrackObservation]) -> Update:
         """Take in windows, in order. One call a tick costs less than one a window."""
@@ -217,12 +228,15 @@ class Belief:
         redundant = offered - taken
         if taken == 0:
             return Update(0, redundant, empty, 0, 0)
-        self._take(first, whitened)
+        self._boxes.take(self._history.observations(), first, whitened, len(self._history.vehicles))
         # What is forgotten stays in the sums until boxes have to be laid anew.
         forgotten = self._history.forget()
         self._whole = self._whole and not forgotten
-        if self._heaviest() > self._remesh_mass:
+        self._unwatched += taken
+        if self._is_coarse() or self._found_again():
             self._rebuild(self._whole)
+        else:
+            self._let_go()
         return Update(taken, redundant, empty, outliers, forgotten)
 
     def absorb(self, other: Belief) -> None:
@@ -237,21 +251,21 @@ class Belief:
 
     def _weigh_down_outliers(self, first: int) -> tuple[int, Whitened]:
         """Widen what is implausible at every likely place (Huber's weight, once, on arrival)."""
-        self._evidence.grow(len(self._history.vehicles))
+        self._boxes.evidence.grow(len(self._history.vehicles))
         observations, rows = self._whiten(first)
         if not rows.rows.size:
             return 0, rows
-        mass = masses(self._total(), self._mesh)
+        mass = masses(self._total(), self._boxes.mesh)
         likely = np.flatnonzero(mass > 1e-3 * mass.max())
         likely = likely[np.argsort(-mass[likely], kind="stable")[:_JUDGES]]
         best = int(np.argmax(mass))
-        orders = self._evidence.means_at(best, self._exponents)
-        places = self._mesh.center_enu_m[likely]
+        orders = self._boxes.evidence.means_at(best, self._exponents)
+        places = self._boxes.mesh.center_enu_m[likely]
         losses = Evidence.loss_rows(observations, rows, places, self._has_null)
-        right = self._evidence.level_loading[:, None].repeat(likely.size, axis=1)
-        for order, loading in zip(orders, self._evidence.loading_path, strict=True):
+        right = self._boxes.evidence.level_loading[:, None].repeat(likely.size, axis=1)
+        for order, loading in zip(orders, self._boxes.evidence.loading_path, strict=True):
             right += order * loading[:, likely]
-        precision = self._evidence.loading_loading
+        precision = self._boxes.evidence.loading_loading
         expected = rows.loading @ np.linalg.solve(precision, right)
         residual = rows.level[:, None] - expected
         for order, loss in zip(orders, losses, strict=True):
@@ -267,60 +281,50 @@ class Belief:
         self._history.widen(rows.rows[strange], np.square(rows.scale[strange]) * (excess[strange] ** 2 - 1.0))
         return int(strange.sum()), self._whiten(first)[1]
 
-    def _take(self, first: int, whitened: list[Whitened]) -> None:
-        observations = self._history.observations()
+    def _let_go(self) -> None:
+        kept = self._boxes.let_go(self._total())
+        if kept is not None and self._field_log is not None:
+            self._field_log = self._field_log[kept]
+
+    def _found_again(self) -> bool:
+        """Whether the belief has to be laid anew where nothing was to be found; asked now and then."""
+        if not self._boxes.gone.count or self._unwatched < self._settings.maximum_windows // 2:
+            return False
+        self._unwatched = 0
+        self._history.relate_again()
+        observations, rows = self._whiten(0)
         links = len(self._history.vehicles)
-        for rows in whitened:
-            self._evidence.add(observations, rows.of_links(links), self._mesh.center_enu_m, self._has_null)
-        self._bearings.grow(links, self._model)
-        self._bearings.add(observations, first, self._mesh, self._model, self._evidence.angle_log)
-        self._log_likelihood = self._evidence.log_likelihood(self._exponents, self._settings.noise_degrees)
+        return self._boxes.found_again(self._total(), observations, rows, links, self.fields_at)
 
     def _rebuild(self, reuse: bool = False) -> None:
         """Lay the boxes anew and weigh the whole history on them.
 
         ``reuse``: boxes that were there before keep their sums, for the windows are the same.
         """
+        self._history.relate_again()
         observations, rows = self._whiten(0)
-        links, shares = len(self._history.vehicles), len(self._model.los_shares)
-        old = {key: number for number, key in enumerate(_keys(self._mesh))} if reuse else {}
-        before, before_bearings = self._evidence, self._bearings
-        parts: list[Evidence] = []
-        bearings: list[Bearings] = []
-        told: list[FloatArray] = []
-        fields: list[FloatArray] = []
-
-        def evaluate(mesh: Mesh, _: IntArray) -> tuple[FloatArray, float]:
-            place = np.array([old.get(key, -1) for key in _keys(mesh)] if old else [-1] * mesh.count)
-            new = mesh.keep(np.flatnonzero(place < 0))
-            part = Evidence.empty(new.count, links, shares)
-            part.add(observations, rows, new.center_enu_m, self._has_null)
-            errors = Bearings.empty(new.count, links, self._model)
-            errors.add(observations, 0, new, self._model, part.angle_log)
-            if new.count < mesh.count:
-                place[place < 0] = before.candidates + np.arange(new.count)
-                part = Evidence.gathered([before, part], place)
-                errors = Bearings.gathered([before_bearings, errors], place)
-            parts.append(part)
-            bearings.append(errors)
-            told.append(part.log_likelihood(self._exponents, self._settings.noise_degrees))
-            fields.append(self._fields_at(mesh))
-            return told[-1] + fields[-1], 1.0
-
-        found = refine(self._area, evaluate, self._mesh_settings)
-        self._mesh = found.mesh
-        self._log_likelihood = np.concatenate(told)[found.place]
-        self._field_log = np.concatenate(fields)[found.place]
-        self._evidence = Evidence.gathered(parts, found.place)
-        self._bearings = Bearings.gathered(bearings, found.place)
+        self._field_log = self._boxes.lay(
+            self._area,
+            self._mesh_settings,
+            observations,
+            rows,
+            len(self._history.vehicles),
+            self.fields_at,
+            reuse,
+        )
+        self._unwatched = 0
         self._whole = True
         # Where the number of boxes is used up, laying them anew would not help until the belief moves.
         self._remesh_mass = max(self._settings.remesh_mass, 2.0 * self._heaviest())
 
+    def _is_coarse(self) -> bool:
+        """Whether a box holds so much that finer ones are worth their cost."""
+        return self._heaviest() > self._remesh_mass * (1.0 if self._whole else _DEAR)
+
     def _heaviest(self) -> float:
         """Mass of the heaviest box that can be split."""
-        splittable = self._mesh.half_m[:, 0] > 2.0 * self._settings.minimum_half_m
-        return float(np.where(splittable, masses(self._total(), self._mesh), 0.0).max())
+        splittable = self._boxes.mesh.half_m[:, 0] > 2.0 * self._settings.minimum_half_m
+        return float(np.where(splittable, masses(self._total(), self._boxes.mesh), 0.0).max())
 
     def state(self) -> dict[str, Any]:
         """Everything but the fields, as arrays and plain values; ``restore`` continues bit for bit
@@ -328,14 +332,10 @@ class Belief:
         self._renew_fields()
         return {
             **self._history.state(),
-            "center_enu_m": self._mesh.center_enu_m.copy(),
-            "half_m": self._mesh.half_m.copy(),
-            "log_volume": self._mesh.log_volume.copy(),
-            "log_likelihood": self._log_likelihood.copy(),
+            **self._boxes.state(),
             "remesh_mass": self._remesh_mass,
             "whole": self._whole,
-            **self._evidence.state(),
-            **self._bearings.state(),
+            "unwatched": self._unwatched,
         }
 
     @classmethod
@@ -347,13 +347,11 @@ class Belief:
         if not belief._history.restore(tree) or "bias_mean" not in tree:
             belief._rebuild()
             return belief
-        belief._mesh = Mesh(_array(tree["center_enu_m"]), _array(tree["half_m"]), _array(tree["log_volume"]))
-        belief._log_likelihood = _array(tree["log_likelihood"])
+        belief._boxes.restore(tree)
         belief._field_log = None
         belief._remesh_mass = float(tree["remesh_mass"])
         belief._whole = bool(tree["whole"])
-        belief._evidence = Evidence.restore(tree)
-        belief._bearings = Bearings.restore(tree)
+        belief._unwatched = int(tree.get("unwatched", 0))
         return belief
 
 
@@ -368,14 +366,3 @@ def _one_window_a_vehicle(batch: list[TrackObservation]) -> list[list[TrackObser
         groups[-1].append(window)
         seen.add(window.vehicle_id)
     return groups
-
-
-def _keys(mesh: Mesh) -> list[bytes]:
-    """What tells boxes apart: those that are cut from the same base boxes have the same bits."""
-    rows = np.ascontiguousarray(np.column_stack([mesh.center_enu_m, mesh.half_m[:, :1]]))
-    result: list[bytes] = rows.view("V32").ravel().tolist()
-    return result
-
-
-def _array(values: Any) -> FloatArray:
-    return np.array(values, dtype=np.float64)

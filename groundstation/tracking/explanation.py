@@ -38,6 +38,7 @@ from groundstation.localization.problem import FloatArray, SignalModel
 from groundstation.localization.regression import Evidence
 from groundstation.localization.whitening import Observations, Whitened, whiten
 from groundstation.tracking.belief import Belief
+from groundstation.tracking.candidates import joined
 
 _PLACES = 160
 _LN10 = math.log(10.0)
@@ -125,8 +126,10 @@ def thinned(mesh: Mesh, mass: FloatArray, count: int = _PLACES) -> tuple[Any, Fl
 
 def _information(belief: Belief, observations: Observations, rows: Whitened) -> tuple[FloatArray, FloatArray]:
     """(V,) D(p ‖ p₋ᵥ) and (V,) H(p₋ᵥ) − H(p), nats."""
-    chosen, log_volume = thinned(belief.mesh, belief.mass)
-    mesh = belief.mesh.keep(chosen)
+    # Without a vehicle the person may be where there is nothing with it.
+    everywhere = joined(belief.mesh, belief.gone)
+    chosen, log_volume = thinned(everywhere, np.append(belief.mass, np.zeros(belief.gone.count)))
+    mesh = everywhere.keep(chosen)
     links = len(belief.vehicles)
     parts = [_part(belief, observations, rows, mesh, link) for link in range(links)]
     whole = _sum(parts)
@@ -135,9 +138,17 @@ def _information(belief: Belief, observations: Observations, rows: Whitened) -> 
         return evidence.log_likelihood(belief.exponents, belief.settings.noise_degrees)
 
     # What is no vehicle's (the prior map, silence) stays when a vehicle goes.
-    log_density = belief.log_likelihood
-    others = log_density[chosen] - log_likelihood(whole)
-    log_p = _normalised(log_density[chosen] + log_volume)
+    remembered, otherwise = log_likelihood(whole), belief.fields_at(mesh)
+    kept = np.flatnonzero(chosen < belief.mesh.count)
+    log_density = belief.log_likelihood[chosen[kept]]
+    others = otherwise.copy()
+    others[kept] = log_density - remembered[kept]
+    # What forgotten windows said is not known of boxes that were let go: as at the likeliest one.
+    best = kept[np.argmax(log_density)]
+    gone = chosen >= belief.mesh.count
+    others[gone] += others[best] - otherwise[best]
+    log_density = remembered + others
+    log_p = _normalised(log_density + log_volume)
     p = np.exp(log_p)
     gain, lost = np.zeros(links), np.zeros(links)
     for link, part in enumerate(parts):
@@ -149,33 +160,15 @@ def _information(belief: Belief, observations: Observations, rows: Whitened) -> 
 
 def _part(belief: Belief, observations: Observations, rows: Whitened, mesh: Mesh, link: int) -> Evidence:
     """What one vehicle's rows add to the sums at the boxes of ``mesh``."""
-    mine = observations.link[rows.rows] == link
-    own = Whitened(rows.rows[mine], rows.mixing[mine], rows.level[mine], rows.loading[mine], rows.scale[mine])
+    own = rows.take(observations.link[rows.rows] == link)
     part = Evidence.empty(mesh.count, len(belief.vehicles), len(belief.model.los_shares))
     part.add(observations, own, mesh.center_enu_m, belief.model.has_antenna_null)
     heard = np.flatnonzero((observations.link == link) & np.isfinite(observations.azimuth_rad))
     if heard.size:
         part.angle_log += angle_log_likelihood(
-            _chosen(observations, heard), 0, mesh.center_enu_m, mesh.half_m, belief.model
+            observations.take(heard), 0, mesh.center_enu_m, mesh.half_m, belief.model
         )
     return part
-
-
-def _chosen(observations: Observations, rows: Any) -> Observations:
-    """Some observations, without their relations: their bearings are weighed already."""
-    return Observations(
-        observations.position_enu_m[rows],
-        observations.link[rows],
-        observations.rss_dbm[rows],
-        observations.los_probability[rows],
-        observations.white_variance_db2[rows],
-        observations.azimuth_rad[rows],
-        observations.elevation_rad[rows],
-        observations.angle_std_rad[rows],
-        observations.angle_probability[rows],
-        observations.angle_weight[rows],
-        np.full((rows.size, 1), -1),
-    )
 
 
 _SUMS = tuple(field.name for field in fields(Evidence) if field.name != "loading_loading")

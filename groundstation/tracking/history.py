@@ -71,6 +71,8 @@ class History:
         """Of each of ``vehicles``."""
         self._rows: FloatArray = np.zeros((0, _COLUMNS))
         self._parents: Any = np.zeros((0, self._settings.parents), dtype=np.int64)
+        self._stale = False
+        """Whether windows were forgotten since the older ones were related."""
 
     @property
     def count(self) -> int:
@@ -163,8 +165,21 @@ class History:
         return new
 
     def observations(self) -> Observations:
-        """All windows, as the likelihood wants them."""
+        """All windows, as the likelihood wants them; after ``forget`` the older ones are related to none."""
         return observations_of(self._rows, self._parents)
+
+    def relate_again(self) -> None:
+        """Relate the older windows, after some were forgotten, to those that are left."""
+        if self._stale:
+            self._relate_all(self._rows)
+
+    def related(self) -> Observations:
+        """As after ``relate_again``, and nothing changes."""
+        if not self._stale:
+            return self.observations()
+        again = History(self._model, self._settings)
+        again._relate_all(self._rows)
+        return again.observations()
 
     def widen(self, rows: Any, variance_db2: FloatArray) -> None:
         """Outliers: add to the white variance of the powers of ``rows``."""
@@ -173,7 +188,10 @@ class History:
             self.counts[link].outliers += 1
 
     def forget(self) -> int:
-        """When it is full, drop every second window of each vehicle's older two thirds."""
+        """When it is full, drop every second window of each vehicle's older two thirds.
+
+        Those left are related anew by ``relate_again``: it costs as much as ten updates.
+        """
         if self.count <= self._settings.maximum_windows:
             return 0
         dropped = []
@@ -185,7 +203,9 @@ class History:
             drop = np.arange(self.count - self._settings.maximum_windows)
         keep = np.ones(self.count, dtype=bool)
         keep[drop] = False
-        self._relate_all(self._rows[keep])
+        self._rows = self._rows[keep]
+        self._parents = np.full((self.count, self._settings.parents), -1, dtype=np.int64)
+        self._stale = True
         return int(drop.size)
 
     def absorb(self, other: History) -> int:
@@ -213,6 +233,7 @@ class History:
 
     def _relate_all(self, rows: FloatArray) -> None:
         """Make ``rows`` the whole history, each related to those before it."""
+        self._stale = False
         self._rows = np.zeros((0, _COLUMNS))
         self._parents = np.zeros((0, self._settings.parents), dtype=np.int64)
         if rows.size:
@@ -228,6 +249,7 @@ class History:
             ],
             "rows": self._rows.copy(),
             "parents": self._parents.copy(),
+            "stale": self._stale,
         }
 
     def restore(self, tree: dict[str, Any]) -> bool:
@@ -247,6 +269,7 @@ class History:
             self._relate_all(rows)
             return False
         self._rows, self._parents = rows, parents.reshape(count, self._settings.parents)
+        self._stale = bool(tree.get("stale", False))
         return True
 
 

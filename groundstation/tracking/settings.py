@@ -84,6 +84,8 @@ class TrackingSettings:
     """Particles of a walker who is suspected: with fewer, bearings leave a handful and a region too small."""
     walking_watch_particles: int = 500
     """The same where nobody is."""
+    walking_watch_vehicles: int = 8
+    """Of more vehicles only so many are listened to at a step, in turn, where nobody is suspected."""
     walking_births: int = 40
     """Of them, those that may start to walk at each step."""
     walking_points: int = 160

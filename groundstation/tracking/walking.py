@@ -30,7 +30,7 @@ from groundstation.tracking.belief import Belief
 from groundstation.tracking.history import History, TrackObservation
 from groundstation.tracking.settings import TrackingSettings
 from groundstation.tracking.walking_points import Points, drawn, grown_covariance, losses_db, systematic
-from groundstation.tracking.walking_windows import Related, Windows, newest, related
+from groundstation.tracking.walking_windows import Related, Windows, latest, newest, related
 
 _DEGREES = 20.0
 """Of the Student-t that a window is scored with: one window does not decide who walks."""
@@ -124,11 +124,11 @@ class Walk:
 
         What it had said before them was drawn then.
         """
-        new = Windows.of(windows, self._numbers)
+        # Two seconds hardly change what is heard: one window a vehicle says nearly as much as all.
+        new = Windows.of(latest(windows), self._numbers)
         if new.count == 0 or not self.possible:
             return
-        # Two seconds hardly change what is heard: one window a vehicle says nearly as much as all.
-        new = newest(new, len(self._numbers.vehicles))
+        new = new.take(self._watched(new))
         links = len(self._numbers.vehicles)
         rng = np.random.Generator(np.random.Philox(key=[self._seed % 2**64, self._steps]))
         self._steps += 1
@@ -141,6 +141,16 @@ class Walk:
         if now_s - self._drawn_s >= self._settings.walking_redraw_s:
             # Between draws the places are weighed by the windows, as the walker's are.
             self.draw(belief, rng)
+
+    def _watched(self, new: Windows) -> Any:
+        """Which of the windows, one a vehicle, are worth their cost: not all, and each in its turn."""
+        most = self._settings.walking_watch_vehicles
+        if self._suspected or new.count <= most or not self._past.count:
+            return np.arange(new.count)
+        # Of every vehicle there is one to begin with.
+        chosen = ~np.isin(new.observations().link, self._past.observations().link)
+        chosen[(self._steps * most + np.arange(most)) % new.count] = True
+        return np.flatnonzero(chosen)
 
     def draw(self, belief: Belief, rng: np.random.Generator | None = None) -> None:
         """Take the still belief as it is now for what stillness foretells from here on."""
@@ -367,18 +377,11 @@ class Walk:
             place = points.position_enu_m.copy()
             place[:2] -= each * _MOMENT_S * points.velocity_mps
             mesh = Mesh(place.T, half, np.zeros(points.count))
-            errors.add(_only(rows.every, chosen), 0, mesh, self._model, share)
+            errors.add(rows.every.take(chosen), 0, mesh, self._model, share)
         density = _log_sum(share)
         return replace(
             points, share_log=share - density, bias_rad=errors.mean, bias_rad2=errors.variance
         ), density
-
-
-def _only(observations: Any, chosen: Any) -> Any:
-    """The bearings of the ``chosen`` rows."""
-    names = ("position_enu_m", "link", "rss_dbm", "los_probability", "white_variance_db2", "azimuth_rad",
-             "elevation_rad", "angle_std_rad", "angle_probability", "angle_weight", "parents")  # fmt: skip
-    return replace(observations, **{name: getattr(observations, name)[chosen] for name in names})
 
 
 def _log_sum(score: FloatArray) -> FloatArray:

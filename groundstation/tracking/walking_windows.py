@@ -124,6 +124,22 @@ def related(
     )
 
 
+def latest(windows: list[TrackObservation]) -> list[TrackObservation]:
+    """Of each vehicle the newest window with power, else with a bearing; vehicles in order of their first."""
+    chosen: dict[int, TrackObservation] = {}
+    for window in windows:
+        before = chosen.get(window.vehicle_id)
+        if before is None or _told(window) >= _told(before):
+            chosen[window.vehicle_id] = window
+    return list(chosen.values())
+
+
+def _told(window: TrackObservation) -> int:
+    if window.rss_dbm is not None:
+        return 2
+    return int(window.azimuth_rad is not None)
+
+
 def newest(windows: Windows, links: int) -> Windows:
     """The newest window of each vehicle with power, or else with a bearing; in order of the vehicles."""
     plain = windows.observations()

@@ -91,6 +91,29 @@ def test_forgetting_keeps_the_newest_and_every_vehicle() -> None:
     assert (seen.parents < np.arange(made.count)[:, None]).all()
 
 
+def test_after_forgetting_windows_are_related_again_when_asked() -> None:
+    settings = replace(SETTINGS, maximum_windows=40)
+    windows = [window(1 + i % 2, 9.0 * i, time_s=float(i)) for i in range(44)]
+    made = history(*windows, settings=settings)
+    made.forget()
+    assert (made.observations().parents == -1).all()
+    kept = made.observations().position_enu_m[:, 0]
+    fresh = history(*(w for w in windows if w.position_enu_m[0] in kept), settings=settings)
+    # Looking changes nothing …
+    np.testing.assert_array_equal(made.related().parents, fresh.observations().parents)
+    assert (made.observations().parents == -1).all()
+    # … what comes is related to all that are left, and a restart forgets nothing of it.
+    for both in (made, fresh):
+        both.take(np.array([both.row(window(1, 9.0 * 44))]))
+    again = History(MODEL, settings)
+    assert again.restore(made.state())
+    for one in (made, again):
+        assert one.observations().parents[-1].tolist() == fresh.observations().parents[-1].tolist()
+        one.relate_again()
+        np.testing.assert_array_equal(one.observations().parents, fresh.observations().parents)
+        np.testing.assert_array_equal(one.observations().angle_weight, fresh.observations().angle_weight)
+
+
 def test_absorbing_is_hearing_both_in_order_of_time() -> None:
     windows = [window(1 + i % 3, 9.0 * i, time_s=float(i)) for i in range(12)]
     whole = history(*windows)
