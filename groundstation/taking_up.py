@@ -33,8 +33,6 @@ async def take_up(resumed: ResumedSession, pipeline: Pipeline, lane: EstimatorLa
     tail = await asyncio.to_thread(list, resumed.tail)
     dropped = dropped_windows(tail)
     for number, record in enumerate(tail):
-        if record.seq >= resumed.resumed.seq:
-            break
         step = pipeline.handle(record)
         lane.submit(tuple(without_dropped(step.work, dropped)))
         display.step(record, step)

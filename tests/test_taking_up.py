@@ -43,7 +43,12 @@ class Lane:
 class Hearing(Pipeline):
     """One that finds a window and has something to say in every tick."""
 
+    def __init__(self, *rooms: Any) -> None:
+        super().__init__(*rooms)
+        self.handled: list[int] = []
+
     def handle(self, record: Record) -> Step:
+        self.handled.append(record.seq)
         step = super().handle(record)
         if not isinstance(record.input, TickInput):
             return step
@@ -100,3 +105,18 @@ async def test_without_a_snapshot_all_begins_with_the_journal(tmp_path: Path) ->
     resumed.session.abandon()
     assert lane.state is None
     assert [work.seq for work in lane.submitted] == [began.seq, *(tick.seq for tick in ticks)]
+
+
+async def test_what_the_journal_got_since_the_restart_is_left_to_the_caller(tmp_path: Path) -> None:
+    """``resumed`` stands in the journal that is read, and who started the station handles it: once."""
+    session, began = open_new(tmp_path, "0.1")
+    tick = session.record(TickInput())
+    session.abandon()
+    resumed = resume(session.directory, "0.2")
+    resumed.session.record(TickInput())
+    resumed.session.journal.sync()
+    pipeline = Hearing(Ingest(), CommandDesk())
+    display = Display(Hub(Picture("epoch", None)), resumed.session, "live", "")
+    await take_up(resumed, pipeline, Lane(), display)
+    resumed.session.abandon()
+    assert pipeline.handled == [began.seq, tick.seq]

@@ -61,3 +61,5 @@ class VehicleState:
     """Sequence gaps over the last minute, all of this vehicle's components."""
     clock_offset_known: bool
     """Whether its times can be mapped to station time yet."""
+    clock_uncertainty_ns: int | None = None
+    """How far the autopilot's times may be off station time; None until they can be mapped."""

@@ -97,12 +97,6 @@ class Ingest:
         """Vehicles found, in the order they were."""
         return list(self._vehicles)
 
-    def clock_uncertainty_ns(self, vehicle_id: int, component_id: int = AUTOPILOT_COMPONENT) -> int | None:
-        """How far a component's times since boot may be off station time; None where never heard."""
-        vehicle = self._vehicles.get(vehicle_id)
-        clock = None if vehicle is None else vehicle.clocks.get(component_id)
-        return None if clock is None or clock.boot.offset_ns is None else clock.boot.uncertainty_ns()
-
     def counters(self) -> list[Counter]:
         """Every frame, drop and rejection so far."""
         hot = [Counter(f"{name}_total", (), value) for name, value in self._counts.items()]

@@ -321,8 +321,9 @@ class VehicleIntake:
     def _state_now(self, now_ns: int) -> VehicleState:
         self._dirty = False
         self._state_ns = now_ns
-        known = self.clocks[AUTOPILOT_COMPONENT].boot.offset_ns is not None
-        return self.picture.snapshot(now_ns, self.loss.percent(), known)
+        scale = self.clocks[AUTOPILOT_COMPONENT].boot
+        uncertainty_ns = None if scale.offset_ns is None else scale.uncertainty_ns()
+        return self.picture.snapshot(now_ns, self.loss.percent(), uncertainty_ns)
 
     def state(self) -> dict[str, Any]:
         """Everything, as a tree for a snapshot."""

@@ -25,14 +25,6 @@ ENCODERS: dict[str, Callable[[Sequence[TargetState]], bytes]] = {
 }
 """Encoder of each format; the names are those of ``--format`` and the usual file endings."""
 
-MEDIA_TYPES: dict[str, str] = {
-    "json": "application/json",
-    "geojson": "application/geo+json",
-    "kml": "application/vnd.google-earth.kml+xml",
-    "gpx": "application/gpx+xml",
-    "csv": "text/csv; charset=utf-8",
-}
-
 
 def encode(file_format: str, targets: Sequence[TargetState]) -> bytes:
     """``targets`` in ``file_format``, one of ``ENCODERS``. Raises UsageError for another one."""
@@ -44,7 +36,6 @@ def encode(file_format: str, targets: Sequence[TargetState]) -> bytes:
 
 __all__ = [
     "ENCODERS",
-    "MEDIA_TYPES",
     "encode",
     "encode_csv",
     "encode_geojson",

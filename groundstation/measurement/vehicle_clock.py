@@ -141,11 +141,17 @@ class OffsetMap:
         return True
 
     def uncertainty_ns(self) -> int:
-        """How far ``offset_ns`` may be off: by TIMESYNC where answered, else the assumed delay and spread."""
+        """How far ``offset_ns`` may be off, by TIMESYNC where one was answered within the window.
+
+        Elsewhere the assumed delay of the fastest message and the spread of the window's fastest ones.
+        """
         if self.offset_ns is None:
             return self._window_ns
         if self._timesync_lower_ns is not None:
-            return abs(self.offset_ns - self._timesync_lower_ns)
+            # The clock drifts on: an old bound says nothing of an offset that has moved past it.
+            newest_ns = self._lowest[-1][0] * self._bucket_ns
+            if newest_ns - self._timesync_ns <= self._window_ns:
+                return abs(self.offset_ns - self._timesync_lower_ns)
         lowest = [bucket[1] for bucket in self._lowest]
         return self._min_delay_ns + (max(lowest) - min(lowest) if lowest else 0)
 

@@ -148,9 +148,9 @@ class VehiclePicture:
         return "it sends no GLOBAL_POSITION_INT"
 
     def snapshot(
-        self, time_ns: int, packet_loss_percent: float | None, clock_offset_known: bool
+        self, time_ns: int, packet_loss_percent: float | None, clock_uncertainty_ns: int | None
     ) -> VehicleState:
-        """The picture as a value."""
+        """The picture as a value; ``clock_uncertainty_ns`` is None until the clock is mapped."""
         connections = sorted(self.connections.items(), key=lambda item: (-item[1], item[0]))
         if len(connections) > _CONNECTIONS_MAX:
             connections = connections[:_CONNECTIONS_MAX]
@@ -179,7 +179,8 @@ class VehiclePicture:
             position_target=self._target_amsl(),
             sensor_heard_ns=self.sensor_heard_ns,
             packet_loss_percent=packet_loss_percent,
-            clock_offset_known=clock_offset_known,
+            clock_offset_known=clock_uncertainty_ns is not None,
+            clock_uncertainty_ns=clock_uncertainty_ns,
         )
 
     def _target_amsl(self) -> Geodetic | None:

@@ -21,6 +21,9 @@ SERVER_METRICS = {
     "groundstation_server_counters_refused_total": "Totals that had no room.",
     "groundstation_vehicles": "Vehicles known.",
     "groundstation_vehicles_lost": "Vehicles without a heartbeat for five seconds.",
+    "groundstation_vehicle_clock_uncertainty_seconds": (
+        "How far an autopilot's times may be off station time; none until they can be mapped."
+    ),
     "groundstation_targets": "Beacons known.",
     "groundstation_links": "Radio links known.",
 }
@@ -40,6 +43,7 @@ class HubCollector(Collector):
     def collect(self) -> Iterable[Metric]:
         """Everything as it stands."""
         hub, picture = self._hub, self._hub.picture
+        vehicles = picture.vehicle_rows()
         numbers = {
             "groundstation_server_deltas_total": hub.published_total,
             "groundstation_server_clients": len(hub.clients),
@@ -48,14 +52,20 @@ class HubCollector(Collector):
             "groundstation_server_events_total": picture.events_total,
             "groundstation_server_events_unsent_total": picture.events_unsent_total,
             "groundstation_server_counters_refused_total": picture.counters_refused_total,
-            "groundstation_vehicles": len(picture.vehicles),
-            "groundstation_vehicles_lost": sum(row.lost for row in picture.vehicle_rows()),
+            "groundstation_vehicles": len(vehicles),
+            "groundstation_vehicles_lost": sum(row.lost for row in vehicles),
             "groundstation_targets": len(picture.targets),
             "groundstation_links": len(picture.links),
         }
         for name, value in numbers.items():
             family = CounterMetricFamily if name.endswith("_total") else GaugeMetricFamily
             yield family(name, SERVER_METRICS[name], value=value)
+        clocks_name = "groundstation_vehicle_clock_uncertainty_seconds"
+        clocks = GaugeMetricFamily(clocks_name, SERVER_METRICS[clocks_name], labels=["vehicle"])
+        for row in vehicles:
+            if row.clock_uncertainty_s is not None:
+                clocks.add_metric([str(row.vehicle_id)], row.clock_uncertainty_s)
+        yield clocks
         evicted_name = "groundstation_server_rows_evicted_total"
         evicted = CounterMetricFamily(evicted_name, SERVER_METRICS[evicted_name], labels=["table"])
         for table in (

@@ -100,6 +100,7 @@ def vehicle_row(state: VehicleState) -> wire.VehicleRow:
         sensor_heard_ns=None if state.sensor_heard_ns is None else str(state.sensor_heard_ns),
         packet_loss_percent=finite(state.packet_loss_percent),
         clock_offset_known=state.clock_offset_known,
+        clock_uncertainty_s=None if state.clock_uncertainty_ns is None else state.clock_uncertainty_ns / 1e9,
     )
 
 

@@ -66,6 +66,10 @@ class VehicleRow(Model):
         description="Frames lost on the way here in the last minute, percent."
     )
     clock_offset_known: bool = Field(description="Its times can be mapped to station time.")
+    clock_uncertainty_s: float | None = Field(
+        description="How far its autopilot's times may be off station time, seconds; null until they can "
+        "be mapped."
+    )
 
 
 class Trail(Model):

@@ -156,7 +156,7 @@ class ResumedSession:
     snapshot: Snapshot | None
     """Restore this first; None: begin with empty engines."""
     tail: Iterator[Record]
-    """Records behind the snapshot, oldest first; read once."""
+    """Records of the runs before, behind the snapshot, oldest first; read once. ``resumed`` is not of it."""
     resumed: Record
     """The record that says ``resumed``; journalled already, to be handled behind the tail."""
     events: tuple[Event, ...]
@@ -233,6 +233,7 @@ def _resume_locked(
     if clock.held_back_ns:
         text = f"The computer's clock is {clock.held_back_ns / 1e9:.1f} s behind the session's last record"
         events.append(Event(time_ns, "clock.behind", Severity.WARNING, text))
+    # Before this run's first record: its file is then none of the tail's.
     tail = _tail(directory, after_seq)
     meta = meta.resumed(version, clock.unix_us(), dict(config or {}))
     write_meta(directory, meta)

@@ -303,6 +303,7 @@ def vehicle(vehicle_id: int, now: int, **changes: Any) -> VehicleState:
         "sensor_heard_ns": now - 200_000_000,
         "packet_loss_percent": 2.5 if vehicle_id == 2 else 0.1,
         "clock_offset_known": True,
+        "clock_uncertainty_ns": None if vehicle_id == 4 else vehicle_id * 3_000_000,
     }
     return VehicleState(**{**values, **changes})
 

@@ -481,6 +481,25 @@ def test_lost_recovered_and_urgent_states():
     ]
     assert states[0].position is None
     assert not states[0].clock_offset_known
+    assert states[0].clock_uncertainty_ns is None
+
+
+def test_a_vehicle_s_picture_says_how_far_its_clock_may_be_off():
+    """Unknown before its first stamped message, then assumed, then what an answered TIMESYNC bounds."""
+    sender, air = Sender(), Air()
+    air.send(START, sender.heartbeat())
+    flight(sender, air, 5, radio=False)
+    # Asked 10 ms before the vehicle read its clock; its other messages take 20 ms.
+    read_ns = START + 4 * S
+    answer = dialect.MAVLink_timesync_message(read_ns - START + sender.boot_ns, read_ns - 10 * MS)
+    air.send(read_ns + 5 * MS, sender.autopilot.pack(answer))
+    outputs, _ = run(air.records(5))
+    states = of(outputs, VehicleState)
+    assert [s.clock_uncertainty_ns for s in states if not s.clock_offset_known] == [None]
+    shown = [s.clock_uncertainty_ns for s in states if s.clock_offset_known]
+    assumed_ns = MeasurementSettings().clock_min_delay_s * S
+    assert min(shown[:10]) >= assumed_ns
+    assert shown[-1] == 30 * MS
 
 
 def test_ready_needs_estimator_and_pre_arm_checks():
@@ -712,9 +731,9 @@ def test_real_position_times_trail_arrival_by_the_known_wander(flown):
     assert min(ages) >= 0
     assert np.percentile(ages, 95) < 300 * MS
     for vehicle in ingest.vehicle_ids:
-        uncertainty = ingest.clock_uncertainty_ns(vehicle)
-        assert uncertainty is not None
-        assert uncertainty < 120 * MS
+        last = [s for s in of(outputs, VehicleState) if s.vehicle_id == vehicle][-1]
+        assert last.clock_uncertainty_ns is not None
+        assert 0 < last.clock_uncertainty_ns < 120 * MS
 
 
 def test_real_poses_left_out_are_interpolated_within_decimetres(flown):

@@ -170,7 +170,7 @@ def test_losses_are_those_of_the_distance_and_the_elevation() -> None:
 
 
 def test_losses_far_from_the_origin_are_as_good() -> None:
-    """100 km off, at a slant of 30 m to 400 m: differences, not coordinates, are rounded to single precision."""
+    """100 km off: differences, not coordinates, are rounded to single precision."""
     away = np.array([1e5, -1e5, 3e3])
     rng = np.random.default_rng(4)
     vehicle, places = rng.uniform(-200, 200, (5, 3)), rng.uniform(-200, 200, (40, 3))

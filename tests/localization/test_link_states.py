@@ -77,7 +77,7 @@ def ours(links: Links, center: np.ndarray, half: np.ndarray, model: SignalModel 
 
 @pytest.mark.parametrize("p", [[1.0, 1.0, 0.0], [0.0] * 5, [1.0] * 4, [0.0]])
 def test_certain_links_weigh_as_in_the_tracker(p: list[float]) -> None:
-    """The snapshot is the tracker's first update: one likelihood, to 1e-4: one of them has losses in single precision."""
+    """The snapshot is the tracker's first update: one likelihood, to the tracker's single precision."""
     links = snapshot(p, 3)
     center, half = boxes(30, 4)
     there = tracker_log_likelihood(links, links.los_probability, center, half, MODEL)

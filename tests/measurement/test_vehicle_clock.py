@@ -180,6 +180,18 @@ def test_timesync_bounds_the_uncertainty_but_does_not_move_the_map(settings):
     assert clock.uncertainty_ns() == 25 * MS
 
 
+def test_a_timesync_answer_bounds_no_longer_than_the_window(settings):
+    """A sender that answers no more drifts on: its old bound would claim that nothing is uncertain."""
+    clock = OffsetMap(settings)
+    feed(clock, 10.0)
+    assert clock.timesync(10 * S, START + 10 * S - 20 * MS, START + 10 * S + 5 * MS)
+    feed(clock, settings.clock_window_s - 5.0, start_s=10.0)
+    assert clock.uncertainty_ns() == 25 * MS
+    # Its clock has gained 25 ms since, down to where the old bound was.
+    feed(clock, 60.0, start_s=5.0 + settings.clock_window_s, offset_ns=START - 25 * MS)
+    assert clock.uncertainty_ns() >= settings.clock_min_delay_s * S
+
+
 @pytest.mark.parametrize(
     ("sent_ns", "why"),
     [(123, "another station's clock"), (START + 11 * S, "sent after it came back")],

@@ -34,7 +34,7 @@ def test_who_is_a_vehicle(heartbeat, expected):
 
 
 def test_nothing_heard_is_nothing_claimed():
-    state = VehiclePicture(3).snapshot(S, None, False)
+    state = VehiclePicture(3).snapshot(S, None, None)
     assert (state.mode, state.armed, state.ready, state.lost) == ("unknown", False, False, False)
     assert (state.autopilot, state.connections) == (Autopilot.UNKNOWN, ())
     assert (
@@ -75,7 +75,7 @@ def test_a_target_s_altitude_is_brought_to_sea_level(frame, home, expected_m):
     if home is not None:
         picture.home_position(HomePosition(Geodetic(47.0, 8.0, home)))
     picture.position_target(PositionTarget(1, Geodetic(47.1, 8.1, 40.0), frame))
-    target = picture.snapshot(S, None, True).position_target
+    target = picture.snapshot(S, None, 0).position_target
     assert (None if target is None else target.altitude_amsl_m) == expected_m
 
 
@@ -99,10 +99,10 @@ def test_what_is_missing_is_said_in_words():
 def test_connections_newest_first_and_the_old_ones_go():
     picture = VehiclePicture(1)
     picture.connections = {"a": 1 * S, "b": 50 * S, "c": 90 * S}
-    assert picture.snapshot(100 * S, None, True).connections == ("c", "b")
-    assert picture.snapshot(900 * S, None, True).connections == ("c",)
+    assert picture.snapshot(100 * S, None, 0).connections == ("c", "b")
+    assert picture.snapshot(900 * S, None, 0).connections == ("c",)
     picture.connections = {f"tcp{i}": i * S for i in range(100)}
-    picture.snapshot(100 * S, None, True)
+    picture.snapshot(100 * S, None, 0)
     assert len(picture.connections) == 16
 
 
@@ -115,4 +115,4 @@ def test_state_and_restore():
     one.attitude = (1.0, 0.0, 0.0, 0.0)
     one.connections["udp"] = S
     two.restore(one.state())
-    assert two.snapshot(S, 1.5, True) == one.snapshot(S, 1.5, True)
+    assert two.snapshot(S, 1.5, 0) == one.snapshot(S, 1.5, 0)

@@ -256,12 +256,15 @@ async def test_health(hub: Hub, actions: Any) -> None:
 
 async def test_metrics_carry_the_totals_of_every_room(client: httpx.AsyncClient, hub: Hub, make: Any) -> None:
     hub.apply(make.vehicle(1, lost=True))
+    hub.apply(make.vehicle(2, clock_uncertainty_ns=3_400_000))
     hub.apply(Counter("frames_total", (("connection", 'a"b'),), 41))
     hub.apply(Counter("frames_total", (("connection", "c"),), 1))
     text = (await client.get("/metrics")).text
     assert 'groundstation_frames_total{connection="a\\"b"} 41.0' in text
     assert text.count("# TYPE groundstation_frames_total counter") == 1
     assert "groundstation_vehicles_lost 1.0" in text
+    clocks = [line for line in text.splitlines() if line.startswith("groundstation_vehicle_clock")]
+    assert clocks == ['groundstation_vehicle_clock_uncertainty_seconds{vehicle="2"} 0.0034']
     assert 'groundstation_server_rows_evicted_total{table="links"} 0.0' in text
 
 

@@ -24,6 +24,12 @@ def test_speeds_come_from_the_velocity(make: Any) -> None:
     assert (row.ground_speed_m_s, row.climb_rate_m_s) == (5.0, 1.0)
 
 
+def test_a_clock_s_uncertainty_is_told_in_seconds_and_only_where_it_is_known(make: Any) -> None:
+    assert rows.vehicle_row(make.vehicle(clock_uncertainty_ns=2_500_000)).clock_uncertainty_s == 0.0025
+    assert rows.vehicle_row(make.vehicle(clock_uncertainty_ns=0)).clock_uncertainty_s == 0.0
+    assert rows.vehicle_row(make.vehicle(clock_uncertainty_ns=None)).clock_uncertainty_s is None
+
+
 def test_nothing_that_json_cannot_carry_leaves(make: Any) -> None:
     row = rows.vehicle_row(
         make.vehicle(battery_percent=math.nan, height_above_home_m=math.inf, position=Geodetic(0.0, 0.0, 0.0))

@@ -32,6 +32,14 @@ export function age(value_s: number | null | undefined): string {
   return `${Math.floor(whole_s / 3600)} h ${String(Math.floor((whole_s % 3600) / 60)).padStart(2, "0")} min`;
 }
 
+/** How far something may be off, seconds: rounded up, for it is a bound. */
+export function uncertainty(value_s: number | null | undefined): string {
+  if (value_s === null || value_s === undefined || !Number.isFinite(value_s)) return NONE;
+  // A product like 0.003 · 1000 lies above 3 by rounding alone.
+  const whole_ms = Math.ceil(value_s * 1000 - 1e-6);
+  return whole_ms < 1000 ? `± ${whole_ms} ms` : `± ${(Math.ceil(whole_ms / 100) / 10).toFixed(1)} s`;
+}
+
 /** How long ago something was heard; what comes every second or two is steady for the eye. */
 export function heardAge(value_s: number | null | undefined): string {
   return value_s !== null && value_s !== undefined && value_s < NOW_S ? "now" : age(value_s);

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { age, clockTime, compass, coordinates, dbm, distance_m, heardAge, metres, milliseconds, percent, shortId, unbroken } from "../src/units";
+import { age, clockTime, compass, coordinates, dbm, distance_m, heardAge, metres, milliseconds, percent, shortId, unbroken, uncertainty } from "../src/units";
 
 const origin = { latitude_deg: -35.3625, longitude_deg: 149.1654, altitude_amsl_m: 584 };
 
@@ -21,6 +21,12 @@ test("ages grow from seconds to hours and never go below zero", () => {
   expect(age(59.9)).toBe("59 s");
   expect(age(61)).toBe("1 min 01 s");
   expect(age(3_725)).toBe("1 h 02 min");
+});
+
+test("an uncertainty is a bound: it is rounded up, never away", () => {
+  expect([0, 0.0002, 0.003, 0.0031, 0.9994].map(uncertainty)).toEqual(["± 0 ms", "± 1 ms", "± 3 ms", "± 4 ms", "± 1.0 s"]);
+  expect([1, 1.21, 30].map(uncertainty)).toEqual(["± 1.0 s", "± 1.3 s", "± 30.0 s"]);
+  for (const unknown of [null, undefined, Number.NaN]) expect(uncertainty(unknown)).toBe("–");
 });
 
 test("times beyond 2^53 keep their milliseconds", () => {
