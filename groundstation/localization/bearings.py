@@ -40,6 +40,8 @@ _REACH2 = 60.0
 """A bearing is followed out to √60 standard deviations, e⁻³⁰."""
 _PAIRS = 100_000
 """Rows × candidates whose geometry is worked out at once: more does not stay in the processor's cache."""
+_SINGLE = np.float32
+"""Of angles and densities: 10⁻⁷ rad beside errors of a degree. Their logarithms add up in double."""
 _LEAST_CLAIM = 3.0
 """However alike, a bearing with news in it can raise a candidate by e³."""
 
@@ -48,16 +50,16 @@ _LEAST_CLAIM = 3.0
 class Bearings:
     """Belief over each vehicle's constant error at C candidates."""
 
-    mean: FloatArray
+    mean: Any
     """(2, V, C) of azimuth and elevation, radians."""
-    variance: FloatArray
-    """(2, V, C) rad²."""
+    variance: Any
+    """(2, V, C) rad². Both in single precision."""
 
     @classmethod
     def empty(cls, candidates: int, links: int, model: SignalModel) -> Bearings:
         """Nothing heard at ``candidates`` places from ``links`` vehicles."""
         shape = (2, links, candidates)
-        return cls(np.zeros(shape), np.full(shape, model.angle_bias_std_rad**2))
+        return cls(np.zeros(shape, _SINGLE), np.full(shape, model.angle_bias_std_rad**2, _SINGLE))
 
     @classmethod
     def gathered(cls, parts: list[Bearings], place: Any) -> Bearings:
@@ -130,24 +132,24 @@ class Bearings:
         odds = trusted / (stray * np.exp(claim - tempered))
 
         link, cells = observations.link[rows], mesh.count
-        near, along, across = _near_the_rays(
-            observations.position_enu_m[rows],
-            observations.azimuth_rad[rows],
-            white[0] + constant,
-            mesh,
-        )
+        # From a middle: differences are what single precision has to hold.
+        place = observations.position_enu_m[rows]
+        middle = place.mean(axis=0)
+        here, there = (place - middle).astype(_SINGLE), (mesh.center_enu_m - middle).astype(_SINGLE).T.copy()
+        spread_m2 = (mesh.half_m.T**2 / 3.0).astype(_SINGLE)
+        azimuth = observations.azimuth_rad[rows].astype(_SINGLE)
+        wide = (white[0] + constant).astype(_SINGLE)
+        near, along, across = _near_the_rays(here, azimuth, wide, there, spread_m2[0])
         pair = np.flatnonzero(near)
         number = pair // max(cells, 1)
         cell = pair - number * cells
-        center = np.ascontiguousarray(mesh.center_enu_m.T)
-        spread_m2 = np.ascontiguousarray(mesh.half_m.T) ** 2 / 3.0
-        up = center[2].take(cell) - observations.position_enu_m[rows, 2].take(number)
+        up = there[2].take(cell) - here[:, 2].take(number)
         residual, of_box = residual_along(
             (along.take(pair), across.take(pair), up),
             spread_m2.take(cell, axis=1),
-            observations.elevation_rad[rows].take(number),
+            observations.elevation_rad[rows].astype(_SINGLE).take(number),
         )
-        white = white.take(number, axis=1)
+        white, odds = white.astype(_SINGLE).take(number, axis=1), odds.astype(_SINGLE)
         at = (link * cells).take(number) + cell
         mean, variance = self.mean.reshape(2, -1), self.variance.reshape(2, -1)
         starts = np.searchsorted(number, ends).tolist()
@@ -186,9 +188,7 @@ class Bearings:
     @classmethod
     def restore(cls, tree: dict[str, Any]) -> Bearings:
         """The reverse."""
-        return cls(
-            np.array(tree["bias_mean"], dtype=np.float64), np.array(tree["bias_variance"], dtype=np.float64)
-        )
+        return cls(np.array(tree["bias_mean"], dtype=_SINGLE), np.array(tree["bias_variance"], dtype=_SINGLE))
 
 
 def model_white(model: SignalModel) -> float:
@@ -205,7 +205,7 @@ def _turns(link: Any) -> Any:
     return turn
 
 
-def _told(log: FloatArray, odds: FloatArray, density: FloatArray, number: Any, cell: Any) -> FloatArray:
+def _told(log: FloatArray, odds: Any, density: Any, number: Any, cell: Any) -> Any:
     """Take a round's bearings into ``log`` (N, C) and give the probability that each pair's is genuine.
 
     Pairs of a row ``number`` and a ``cell``: ``density`` of the bearing, per rad²; ``odds`` (N, r).
@@ -213,7 +213,7 @@ def _told(log: FloatArray, odds: FloatArray, density: FloatArray, number: Any, c
     # Under what was believed of π at each candidate before: weight (N, C).
     weight = np.exp(log - log.max(axis=0))
     weight /= weight.sum(axis=0)
-    ratio: FloatArray = (odds.T @ weight).take(number * log.shape[1] + cell)
+    ratio = (odds.T @ weight.astype(_SINGLE)).take(number * log.shape[1] + cell)
     ratio *= density
     for node, factor in enumerate(odds):
         log[node] += np.bincount(cell, np.log(1.0 + factor.take(number) * density), log.shape[1])
@@ -222,14 +222,14 @@ def _told(log: FloatArray, odds: FloatArray, density: FloatArray, number: Any, c
 
 
 def _near_the_rays(
-    place: FloatArray, azimuth_rad: FloatArray, variance: FloatArray, mesh: Mesh
-) -> tuple[Any, FloatArray, FloatArray]:
+    place: Any, azimuth_rad: Any, variance: Any, center: Any, spread_m2: Any
+) -> tuple[Any, Any, Any]:
     """Where a bearing's density is not nothing (most cells are far off a narrow ray); (r, C) bool.
 
-    And the horizontal way from each place to each cell, along the bearing and across it; (r, C) metres.
+    Cells: ``center`` (3, C), and ``spread_m2`` (C,), the variance of a place in each on an axis. And the
+    horizontal way from each place to each cell, along the bearing and across it; (r, C) metres.
     """
     east, north = np.cos(azimuth_rad)[:, None], np.sin(azimuth_rad)[:, None]
-    center = np.ascontiguousarray(mesh.center_enu_m.T)
     x = center[0] - place[:, 0, None]
     y = center[1] - place[:, 1, None]
     across = y * east
@@ -243,7 +243,7 @@ def _near_the_rays(
     horizontal2 += across2
     np.maximum(horizontal2, 0.01, out=horizontal2)
     spread = variance[:, None] * horizontal2
-    spread += mesh.half_m[:, 0] ** 2 / 3.0
+    spread += spread_m2
     # Behind the vehicle the turn is over 90°: nothing, unless the spread is wide.
     horizontal2 *= 0.03
     near = spread > horizontal2

@@ -181,7 +181,7 @@ def residual_along(
     horizontal2 = np.maximum(along * along + across * across, 0.01)
     up2 = up * up
     distance2 = horizontal2 + up2
-    residual, of_box = np.empty((2, *horizontal2.shape)), np.empty((2, *horizontal2.shape))
+    residual, of_box = np.empty((2, 2, *horizontal2.shape), dtype=horizontal2.dtype)
     # The way turns against the bearing as the bearing turns against the way.
     np.arctan2(-across, along, out=residual[0])
     np.subtract(elevation_rad, np.arctan2(up, np.sqrt(horizontal2)), out=residual[1])
