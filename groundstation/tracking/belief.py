@@ -151,6 +151,11 @@ class Belief:
         self._renew_fields()
         return self._boxes.bearings
 
+    @property
+    def rows(self) -> FloatArray:
+        """(n, columns) the windows remembered (``History.rows``), links as in ``vehicles``; to read."""
+        return self._history.rows
+
     def observations(self) -> Observations:
         """The windows remembered; links are numbered as in ``vehicles``."""
         return self._history.related()

@@ -23,8 +23,8 @@ _COLUMNS = 15
     _EAST, _NORTH, _UP, _LINK, _RSS, _LOS, _WHITE, _AZ, _EL, _AZ_STD, _EL_STD, _FRESH, _ANGLE_P,
     _TIME, _SHARP,
 ) = range(_COLUMNS)  # fmt: skip
-WHITE = _WHITE
-"""Column of a row that holds the white variance of its power, dB²."""
+LINK, RSS, WHITE, TIME = _LINK, _RSS, _WHITE, _TIME
+"""Columns of a row: number of its vehicle; its power, dBm; that power's white variance, dB²; its end, s."""
 _LEAST_FRESH = 0.02
 
 
@@ -78,6 +78,11 @@ class History:
     def count(self) -> int:
         """n."""
         return int(self._rows.shape[0])
+
+    @property
+    def rows(self) -> FloatArray:
+        """(n, columns) the windows, as ``row`` gives them; to read."""
+        return self._rows
 
     def row(self, window: TrackObservation) -> FloatArray | None:
         """The window as numbers; None: it tells neither a power nor a usable bearing."""

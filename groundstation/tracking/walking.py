@@ -8,11 +8,11 @@ by the beacon and counted by the step.
 
 Rao–Blackwellised (Doucet et al., 2000): a particle holds place, velocity and exponents; transmit
 power and the vehicles' offsets are Gaussian given these, with a covariance that is the same for
-all, so that one Kalman gain serves all; the vehicles' constant errors of bearing are followed as
-``bearings`` does at the still belief's boxes. Velocity is an Ornstein–Uhlenbeck process on each axis,
-a = exp(−Δ/τ), cut at 1.5 m/s:
+all, so that one Kalman gain serves all; the vehicles' errors of bearing are followed as ``bearings``
+does at the still belief's boxes. How all this changes with time is in ``walking_motion``.
 
-    v(t + Δ) = a v(t) + √(1 − a²) σ ξ
+What tells most of whether somebody walks, by power alone, is a vehicle that comes again to where it has
+been: standing still foretells its levels from those of then (``walking_windows.visits``).
 """
 
 from __future__ import annotations
@@ -29,19 +29,17 @@ from groundstation.localization.problem import FloatArray, SearchArea, SignalMod
 from groundstation.tracking.belief import Belief
 from groundstation.tracking.history import History, TrackObservation
 from groundstation.tracking.settings import TrackingSettings
+from groundstation.tracking.walking_motion import drifted, moved, sent_off
 from groundstation.tracking.walking_points import Points, drawn, grown_covariance, losses_db, systematic
-from groundstation.tracking.walking_windows import Related, Windows, latest, newest, related
+from groundstation.tracking.walking_windows import Related, Windows, latest, newest, related, visits
 
 _DEGREES = 20.0
 """Of the Student-t that a window is scored with: one window does not decide who walks."""
 _NOISE_DEGREES = 12.0
 """How firmly the model's noise level is believed."""
 _SCATTER_ROWS = 400
-_OFFSET_MEMORY_S = 120.0
-_EXPONENT_DRIFT = 0.02
-"""Random walk of an exponent, per √s: the rubble round a walker changes."""
-_CLIMB_M = 0.3
-"""Random walk of the height, m per √s."""
+_NOT_REPEATED = 0.1
+"""P(a level does not repeat itself where a vehicle comes again, though nobody moved)."""
 _KERNEL_M = 1.0
 """Half the width of the box that a particle stands for."""
 _PACE_MPS = 0.8
@@ -53,8 +51,10 @@ _MOMENT_S = 0.5
 class Scored:
     """What windows say of points."""
 
-    log_density: FloatArray
-    """(N,) of the windows, given the past."""
+    power_log: FloatArray
+    """(r, N) log density of each power, given the past and those before it."""
+    angles_log: FloatArray
+    """(N,) of the bearings."""
     points: Points
     """After them."""
     covariance: FloatArray
@@ -63,6 +63,20 @@ class Scored:
     """(r,) least squared innovation at any point, in variances."""
     typical: FloatArray
     """(r,) the points' median of it."""
+
+    def or_else(self, plain: Scored) -> Scored:
+        """This, but for each window the doubt that nothing but ``plain`` holds of it."""
+        log = np.logaddexp(
+            self.power_log + math.log1p(-_NOT_REPEATED), plain.power_log + math.log(_NOT_REPEATED)
+        )
+        misfit, typical = np.minimum(self.misfit, plain.misfit), np.minimum(self.typical, plain.typical)
+        return replace(self, power_log=log, misfit=misfit, typical=typical)
+
+    @property
+    def log_density(self) -> FloatArray:
+        """(N,) of the windows, given the past."""
+        result: FloatArray = self.power_log.sum(axis=0) + self.angles_log
+        return result
 
 
 class Walk:
@@ -135,7 +149,7 @@ class Walk:
         now_s = float(new.time_s.max())
         if self.time_s is not None:
             now_s = max(now_s, self.time_s)
-            self._advance(new, now_s - self.time_s, links, rng)
+            self._advance(new, self._visited(new, belief), now_s - self.time_s, links, rng)
         self.time_s = now_s
         self._past = newest(self._past.then(new), links)
         if now_s - self._drawn_s >= self._settings.walking_redraw_s:
@@ -151,6 +165,13 @@ class Walk:
         chosen = ~np.isin(new.observations().link, self._past.observations().link)
         chosen[(self._steps * most + np.arange(most)) % new.count] = True
         return np.flatnonzero(chosen)
+
+    def _visited(self, new: Windows, belief: Belief) -> Windows:
+        """What was heard earlier from where ``new`` was, by all that the still belief remembers."""
+        known = self._numbers.vehicles
+        links = [known.index(vehicle) if vehicle in known else -1 for vehicle in belief.vehicles]
+        numbers = np.array(links, dtype=np.int64)
+        return visits(belief.rows, numbers, self._past, new, self._settings.correlation_m)
 
     def draw(self, belief: Belief, rng: np.random.Generator | None = None) -> None:
         """Take the still belief as it is now for what stillness foretells from here on."""
@@ -183,7 +204,9 @@ class Walk:
         """Nobody walks."""
         self._points, self.probability = Points.none(len(self._numbers.vehicles), self._model), 0.0
 
-    def _advance(self, new: Windows, elapsed_s: float, links: int, rng: np.random.Generator) -> None:
+    def _advance(
+        self, new: Windows, again: Windows, elapsed_s: float, links: int, rng: np.random.Generator
+    ) -> None:
         settings, model = self._settings, self._model
         still = self._still.grown(links, model)
         self._still_covariance = grown_covariance(self._still_covariance, links)
@@ -200,16 +223,16 @@ class Walk:
         if share > 0.0:
             # Whoever starts to walk now starts where the still belief is.
             births = self._particles if first else settings.walking_births
-            born = self._sent_off(still.take(systematic(self._still_weight, births, rng)), rng)
+            born = sent_off(still.take(systematic(self._still_weight, births, rng)), settings, rng)
             starting = (1.0 - self.probability) * share
-            points = self._moved(Points.joined(points, born), elapsed_s, rng)
-            points = self._drifted(points, elapsed_s)
+            points = moved(Points.joined(points, born), elapsed_s, self._area, model, settings, rng)
+            points, self._covariance = drifted(points, self._covariance, elapsed_s, model)
             old = self._points.count
             weight = np.concatenate(
                 [np.full(old, self.probability / max(old, 1)), np.full(births, starting / births)]
             )
             standing_log += math.log1p(-share)
-        moving, standing = self._scored_both(points, still, new, links, elapsed_s)
+        moving, standing = self._scored_both(points, still, new, again, links, elapsed_s)
         staying = self._still_weight * np.exp(standing.log_density - standing.log_density.max())
         better = standing.typical if moving is None else np.minimum(standing.typical, moving.typical)
         keep = 1.0 if self._scatter[1] < _SCATTER_ROWS else 0.5
@@ -266,53 +289,18 @@ class Walk:
         self.probability = float(tree["probability"])
         self._scatter = float(tree["scatter"][0]), float(tree["scatter"][1])
 
-    def _sent_off(self, points: Points, rng: np.random.Generator) -> Points:
-        std = self._settings.walking_speed_std_mps
-        return replace(points, velocity_mps=self._slowed(std * rng.standard_normal((2, points.count))))
-
-    def _slowed(self, velocity_mps: FloatArray) -> FloatArray:
-        limit = self._settings.walking_speed_max_mps
-        slowed: FloatArray = velocity_mps * (limit / np.maximum(np.hypot(*velocity_mps), limit))
-        return slowed
-
-    def _moved(self, points: Points, elapsed_s: float, rng: np.random.Generator) -> Points:
-        settings, model = self._settings, self._model
-        keep = math.exp(-elapsed_s / settings.walking_memory_s)
-        kick = settings.walking_speed_std_mps * math.sqrt(1.0 - keep * keep)
-        before = points.velocity_mps
-        velocity = self._slowed(keep * before + kick * rng.standard_normal(before.shape))
-        place = points.position_enu_m.copy()
-        place[:2] += 0.5 * elapsed_s * (before + velocity)
-        # At the area's edge one turns back.
-        outside = ~self._area.contains(place[0], place[1])
-        place[:, outside] = points.position_enu_m[:, outside]
-        velocity[:, outside] *= -1.0
-        # Over rubble one walks up and down.
-        place[2] += _CLIMB_M * math.sqrt(elapsed_s) * rng.standard_normal(points.count)
-        place[2] = np.clip(place[2], self._area.height_min_m, self._area.height_max_m)
-        orders = points.orders.copy()
-        orders[1] += _EXPONENT_DRIFT * math.sqrt(elapsed_s) * rng.standard_normal(points.count)
-        np.clip(orders[1], model.nlos_exponent_min, model.nlos_exponent_max, out=orders[1])
-        return replace(points, position_enu_m=place, velocity_mps=velocity, orders=orders)
-
-    def _drifted(self, points: Points, elapsed_s: float) -> Points:
-        """Offsets slowly return to their prior: what stands in the way changes as one walks."""
-        keep = math.exp(-elapsed_s / _OFFSET_MEMORY_S)
-        factor = np.full(self._covariance.shape[0], keep)
-        factor[0] = 1.0
-        self._covariance = self._covariance * factor * factor[:, None]
-        offsets = np.arange(1, factor.size)
-        self._covariance[offsets, offsets] += 1.0 - keep * keep
-        return replace(points, nuisance=points.nuisance * factor[:, None])
-
     def _scored_both(
-        self, walkers: Points, still: Points, new: Windows, links: int, elapsed_s: float
+        self, walkers: Points, still: Points, new: Windows, again: Windows, links: int, elapsed_s: float
     ) -> tuple[Scored | None, Scored]:
         moving = None
         for last in (False, True):
-            # The same rows for both, or the one that is told to expect less would seem to foretell more.
+            # The same rows for both, or the one that is told to expect less would seem to foretell more;
+            # only what was heard from here on an earlier visit is foretold by standing still alone.
             rows = related(self._past, new, links, _PACE_MPS, self._model, self._settings)
             standing = self._scored(still, self._still_covariance, rows, 0.0)
+            if again.count:
+                expected = related(self._past, new, links, _PACE_MPS, self._model, self._settings, again)
+                standing = self._scored(still, self._still_covariance, expected, 0.0).or_else(standing)
             misfit, scale = standing.misfit, rows.whitened.scale
             if walkers.count:
                 moving = self._scored(walkers, self._covariance, rows, elapsed_s)
@@ -326,20 +314,19 @@ class Walk:
         return moving, standing
 
     def _scored(self, points: Points, covariance: FloatArray, rows: Related, elapsed_s: float) -> Scored:
-        new = np.arange(rows.first, rows.every.count)
         # A window of a moment ago was heard from where the person was then.
         late_s = np.minimum(rows.late_s, elapsed_s)
-        offset = points.position_enu_m[:, None] - rows.every.position_enu_m[new].T[:, :, None]
-        offset[:2] -= late_s[:, None] * points.velocity_mps[:, None]
+        offset = points.position_enu_m[:, None] - rows.every.position_enu_m[rows.past :].T[:, :, None]
+        offset[:2, rows.first - rows.past :] -= late_s[:, None] * points.velocity_mps[:, None]
         loss = losses_db(offset, self._model.has_antenna_null)
         points, angles = self._bearings_met(points, rows, late_s)
-        loss = np.concatenate([points.past_db[:, : rows.first], loss], axis=1)
+        loss = np.concatenate([points.past_db[:, : rows.past], loss], axis=1)
         past_db = points.past_db.copy()
-        past_db[:, rows.every.link[new]] = loss[:, rows.first :]
+        past_db[:, rows.every.link[rows.first :]] = loss[:, rows.first :]
         points = replace(points, past_db=past_db)
         white = rows.whitened
         if not white.rows.size:
-            return Scored(angles, points, covariance, np.zeros(0), np.zeros(0))
+            return Scored(np.zeros((0, points.count)), angles, points, covariance, np.zeros(0), np.zeros(0))
         p = rows.every.los_probability[rows.family]
         error = white.level[:, None] - white.loading @ points.nuisance
         for order, mixing, kind in ((0, p, 0), (1, 1.0 - p, 0), (2, np.ones_like(p), 1)):
@@ -352,11 +339,12 @@ class Walk:
         square = np.square(error)
         # Where the powers scatter more than the model says, they decide less between the two.
         noise = max((_NOISE_DEGREES + self._scatter[0]) / (_NOISE_DEGREES + self._scatter[1]), 1.0)
-        density = -0.5 * (_DEGREES + 1.0) * np.log1p(square / (noise * _DEGREES)).sum(axis=0)
-        density -= float(np.log(np.diag(factor)).sum() + np.log(white.scale).sum())
+        density = -0.5 * (_DEGREES + 1.0) * np.log1p(square / (noise * _DEGREES))
+        density -= (np.log(np.diag(factor)) + np.log(white.scale))[:, None]
         gain = np.linalg.solve(factor, toward.T)
         return Scored(
-            density + angles,
+            density,
+            angles,
             replace(points, nuisance=points.nuisance + gain.T @ error),
             covariance - gain.T @ gain,
             square.min(axis=1),

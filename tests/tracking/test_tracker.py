@@ -78,6 +78,51 @@ def test_a_walker_is_found_out_and_followed() -> None:
     assert error_m(tracker, truth[-1]) < min(10.0, 2.0 * said.radius_90_m)
 
 
+def test_by_power_alone_a_walker_is_found_out_where_vehicles_come_again() -> None:
+    """A lap takes 79 s. One who stands is heard as before; one who walks is not, and no bearing tells."""
+    for speed_mps in (0.0, 1.2):
+        heard, _ = walk(3, 120, speed_mps, los=(0, 0, 0, 0))
+        tracker = Tracker(AREA, PAPER, SETTINGS, 3)
+        for second in range(0, 76, 2):
+            tracker.update(heard[second] + heard[second + 1])
+        assert 0.005 < tracker.walking_probability < 0.2
+        for second in range(76, 92, 2):
+            tracker.update(heard[second] + heard[second + 1])
+        if speed_mps:
+            assert tracker.walking_probability > 0.9
+        else:
+            assert tracker.walking_probability < 0.002
+
+
+def test_windows_that_are_far_off_do_not_make_a_still_person_walk_on_a_second_lap() -> None:
+    """One in ten 20 dB off: a level need not repeat itself at every window."""
+    heard, _ = walk(3, 120, 0.0, los=(0, 0, 0, 0))
+    rng = np.random.default_rng(3)
+    tracker = Tracker(AREA, PAPER, SETTINGS, 3)
+    for second in range(0, 120, 2):
+        batch = []
+        for window in heard[second] + heard[second + 1]:
+            off_db = rng.choice([-20.0, 20.0]) * (rng.random() < 0.1)
+            batch.append(replace(window, rss_dbm=float(window.rss_dbm or 0.0) + off_db))
+        tracker.update(batch)
+        assert tracker.walking_probability < 0.5
+
+
+def test_a_walkers_region_does_not_shrink_onto_a_wrong_bearing() -> None:
+    """The particles must not grow sure of a vehicle's error of bearing, each of its own."""
+    heard, truth = walk(6, 100, 0.8)
+    tracker = Tracker(AREA, PAPER, SETTINGS, 6)
+    for second in range(0, 100, 2):
+        tracker.update(heard[second] + heard[second + 1])
+        if second in (58, 68, 78, 88, 98):
+            points = tracker._walk.points
+            off = (points.position_enu_m.mean(axis=1) - truth[second + 1])[:2]
+            # Inside the ellipse that holds 90 % of a normal distribution.
+            assert off @ np.linalg.solve(np.cov(points.position_enu_m[:2]), off) < 4.61
+            spread = points.bias_rad2[:, 0].mean(axis=1) + points.bias_rad[:, 0].var(axis=1)
+            assert (np.sqrt(spread) > 0.6 * SETTINGS.angle_bias_std_rad).all()
+
+
 def test_with_few_vehicles_nobody_is_taken_to_walk() -> None:
     """An antenna or a model that is off looks like a walk to one or two receivers."""
     heard, _ = walk(2, 30, 1.2, los=(1, 0))
@@ -136,6 +181,21 @@ def test_restored_tracker_continues_bit_for_bit(after_s: int) -> None:
         assert (whole.mass == again.mass).all()
     if after_s == 52:
         assert whole.state()["left"] is not None
+
+
+def test_restored_on_a_second_lap_it_continues_bit_for_bit() -> None:
+    heard, _ = walk(1, 96, 0.0, los=(0, 0, 0))
+    whole = Tracker(AREA, PAPER, SETTINGS, 5)
+    for second in range(0, 86, 2):
+        whole.update(heard[second] + heard[second + 1])
+    again = Tracker.restore(whole.state(), AREA, PAPER, SETTINGS, 5)
+    told = []
+    for windows in heard[86:]:
+        whole.update(windows)
+        again.update(windows)
+        told.append(whole.walking_probability)
+        assert again.walking_probability == told[-1]
+    assert len(set(told)) > 2
 
 
 def test_the_same_windows_give_the_same_numbers_and_another_beacon_others() -> None:

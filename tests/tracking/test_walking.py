@@ -10,7 +10,7 @@ from groundstation.localization.regression import Evidence
 from groundstation.localization.whitening import whiten
 from groundstation.tracking import Belief, TrackingSettings, TrackObservation, walking
 from groundstation.tracking.history import History
-from groundstation.tracking.walking import Walk
+from groundstation.tracking.walking import Scored, Walk
 from groundstation.tracking.walking_points import Points, drawn, losses_db
 from groundstation.tracking.walking_windows import Windows, latest, newest, related
 
@@ -144,6 +144,22 @@ def test_power_foretold_window_by_window_is_the_likelihood_of_all(monkeypatch: p
     right = whole.loading.T @ error
     mean = np.linalg.solve(np.eye(3) + whole.loading.T @ whole.loading, right)
     np.testing.assert_allclose(points.nuisance, mean, atol=1e-5)
+
+
+def test_a_level_that_does_not_repeat_itself_costs_a_still_person_little() -> None:
+    nobody = Points.none(1, PAPER)
+
+    def scored(*levels: float) -> Scored:
+        log, rows = np.array([[level] for level in levels]), len(levels)
+        return Scored(log, np.zeros(1), nobody, np.eye(2), np.full(rows, 40.0), np.full(rows, 40.0))
+
+    plain = replace(scored(-2.0, -2.0), misfit=np.full(2, 1.0), typical=np.full(2, 1.5))
+    told = scored(-1.0, -60.0).or_else(plain)
+    np.testing.assert_allclose(told.power_log[1], -2.0 - np.log(10.0))
+    assert -1.2 < told.power_log[0, 0] < -1.0
+    # An outlier is judged by whichever explains it better.
+    assert told.misfit.tolist() == [1.0, 1.0]
+    assert told.typical.tolist() == [1.5, 1.5]
 
 
 def test_points_drawn_from_a_belief_are_the_belief() -> None:
