@@ -89,6 +89,14 @@ class Database:
             case LinkVerdict():
                 self._put(rows.verdict_row(output), bulk=True)
 
+    def forget_targets_after(self, time_ns: int) -> None:
+        """Drop estimates newer than ``time_ns``, the journal's end, before a session goes on from there.
+
+        A run that was killed may have told them here before its journal held what they came from: they
+        cannot be replayed, and the beacon's next estimate gets the same number.
+        """
+        self._put((rows.FORGET_TARGETS, (time_ns,)))
+
     def flush(self, timeout_s: float = 10.0) -> None:
         """Wait until what was stored so far can be queried. Blocks. Raises ResourceError."""
         reached = threading.Event()

@@ -22,6 +22,7 @@ def _insert(table: str, columns: str) -> str:
 
 
 _EVENT = _insert("events", "time_ns, code, severity, text, vehicle_id, beacon_id")
+FORGET_TARGETS = "DELETE FROM targets WHERE time_ns > ?"
 _TARGET = _insert(
     "targets",
     "beacon_id, sequence, time_ns, first_heard_ns, last_heard_ns, latitude_deg, longitude_deg, "

@@ -238,6 +238,7 @@ def _resume_locked(
     meta = meta.resumed(version, clock.unix_us(), dict(config or {}))
     write_meta(directory, meta)
     session = Session(directory, meta, lock, settings, clock, last_seq + 1)
+    session.database.forget_targets_after(last_ns)
     resumed = session.record(SessionInput("resumed", version))
     return ResumedSession(session, snapshot, tail, resumed, tuple(events))
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import textwrap
@@ -218,3 +220,18 @@ def test_killed_and_taken_up_again(tmp_path: Path) -> None:
     _, reader = open_to_read(directory)
     assert sum(1 for _ in reader) == again.resumed.seq + 2
     assert reader.missing_count == 0
+
+
+def test_estimates_beyond_the_journals_end_are_forgotten(tmp_path: Path, target_state) -> None:
+    """A run that was killed told them to the database before its journal held what they came from."""
+    session = begin(tmp_path)
+    last = [session.record(TickInput()) for _ in range(3)][-1]
+    session.database.store(target_state(7, 17, last.time_ns))
+    session.database.store(target_state(7, 18, last.time_ns + 1))
+    session.abandon()
+    again = resume(session.directory, "0.1", clock=clock_at(WALL_NS, last.time_ns))
+    again.session.database.store(target_state(7, 18, last.time_ns + 5))
+    again.session.abandon()
+    with contextlib.closing(sqlite3.connect(session.directory / "session.sqlite")) as database:
+        kept = database.execute("SELECT sequence, time_ns FROM targets ORDER BY id").fetchall()
+    assert kept == [(17, last.time_ns), (18, last.time_ns + 5)]
