@@ -111,8 +111,8 @@ def mixture_variance_db2(los_probability: FloatArray, model: SignalModel, bias_m
 def log_squares(vehicle_enu_m: FloatArray, candidates: FloatArray, null: bool) -> tuple[Any, Any]:
     """``logs_of_squares`` of the ways (n, 3) × (C, 3) → (n, C), in single precision.
 
-    A loss is then right to 10⁻⁵ dB, a likelihood of hundreds of windows to 10⁻³, at half the memory
-    and a third of the time; sums over windows are for the caller to take in double precision.
+    A loss is then right to 10⁻⁵ dB near the origin, at half the memory and less time; sums over
+    windows are for the caller to take in double precision.
     """
     middle = vehicle_enu_m.mean(axis=0) if vehicle_enu_m.size else 0.0
     # Differences from a middle: what single precision rounds is then under a tenth of a millimetre.

@@ -165,7 +165,7 @@ def split(mesh: Mesh, area: SearchArea, pieces: int = 2) -> tuple[Mesh, IntArray
             part, parent = _split_alike(mesh.keep(alike), area, pieces, number)
             finer.append(part)
             parents.append(alike[parent])
-    return _joined(finer), np.concatenate(parents)
+    return joined(finer), np.concatenate(parents)
 
 
 def _split_alike(mesh: Mesh, area: SearchArea, pieces: int, levels: int) -> tuple[Mesh, IntArray]:
@@ -190,7 +190,8 @@ def _split_alike(mesh: Mesh, area: SearchArea, pieces: int, levels: int) -> tupl
     return Mesh(center, half, log_volume), parent
 
 
-def _joined(parts: list[Mesh]) -> Mesh:
+def joined(parts: list[Mesh]) -> Mesh:
+    """The boxes of all, one after the other."""
     return Mesh(
         np.concatenate([part.center_enu_m for part in parts]),
         np.concatenate([part.half_m for part in parts]),
@@ -242,7 +243,7 @@ def refine(
         finer, parent = split(mesh.keep(split_up), area, settings.pieces)
         whose = problem[split_up[parent]]
         kept = (~chosen).nonzero()[0]
-        mesh = _joined([mesh.keep(kept), finer])
+        mesh = joined([mesh.keep(kept), finer])
         of_parts, urgency_of_parts = _evaluated(evaluate, finer, whose)
         log_likelihood = np.concatenate([log_likelihood[kept], of_parts])
         urgency = np.concatenate([urgency[kept], urgency_of_parts])

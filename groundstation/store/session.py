@@ -223,7 +223,7 @@ def _resume_locked(
     snapshot, events = SnapshotStore(directory / SNAPSHOT_DIRECTORY).newest()
     after_seq = -1 if snapshot is None else snapshot.seq
     last_seq, last_ns, damage = _end_of(directory, after_seq)
-    if snapshot is not None and snapshot.seq > last_seq:
+    if snapshot is not None and snapshot.seq >= last_seq:
         last_seq, last_ns = snapshot.seq, max(last_ns, snapshot.time_ns)
     clock = clock or StationClock(not_before_ns=last_ns)
     time_ns = clock.time_ns()
@@ -238,7 +238,9 @@ def _resume_locked(
     meta = meta.resumed(version, clock.unix_us(), dict(config or {}))
     write_meta(directory, meta)
     session = Session(directory, meta, lock, settings, clock, last_seq + 1)
-    session.database.forget_targets_after(last_ns)
+    if last_ns and not damage:
+        # Of a damaged journal the database's history is what is left.
+        session.database.forget_targets_after(last_ns)
     resumed = session.record(SessionInput("resumed", version))
     return ResumedSession(session, snapshot, tail, resumed, tuple(events))
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from groundstation.localization.bearings import Bearings
 from groundstation.localization.likelihood import ExponentGrid
-from groundstation.localization.mesh import IntArray, Mesh, MeshSettings, refine
+from groundstation.localization.mesh import IntArray, Mesh, MeshSettings, joined, refine
 from groundstation.localization.problem import BoolArray, FloatArray, SearchArea, SignalModel
 from groundstation.localization.regression import Evidence
 from groundstation.localization.whitening import Observations, Whitened
@@ -125,7 +125,7 @@ class Candidates:
         if empty.sum() <= _WORTH_IT * empty.size:
             return None
         kept = np.flatnonzero(~empty)
-        self.gone = joined(self.gone, self.mesh.keep(empty))
+        self.gone = joined([self.gone, self.mesh.keep(empty)])
         self.mesh = self.mesh.keep(kept)
         self.evidence = Evidence.gathered([self.evidence], kept)
         self.bearings = Bearings.gathered([self.bearings], kept)
@@ -148,7 +148,7 @@ class Candidates:
         likely = self.gone
         for stride in _STRIDES:
             windows = every[::stride]
-            mesh = joined(best, likely)
+            mesh = joined([best, likely])
             # Both by the windows remembered: the running sums hold forgotten ones too.
             powers = rows.take(np.isin(rows.rows, windows, assume_unique=True))
             score = self._told(self._weighed(observations, windows, powers, links, mesh)[0]) + fields_at(mesh)
@@ -188,15 +188,6 @@ class Candidates:
 
     def _told(self, evidence: Evidence) -> FloatArray:
         return evidence.log_likelihood(self._exponents, self._noise_degrees)
-
-
-def joined(one: Mesh, other: Mesh) -> Mesh:
-    """The boxes of both."""
-    return Mesh(
-        np.concatenate([one.center_enu_m, other.center_enu_m]),
-        np.concatenate([one.half_m, other.half_m]),
-        np.concatenate([one.log_volume, other.log_volume]),
-    )
 
 
 def _beside(mesh: Mesh, empty: BoolArray) -> BoolArray:

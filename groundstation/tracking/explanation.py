@@ -33,12 +33,11 @@ from typing import Any
 import numpy as np
 
 from groundstation.localization.bearings import angle_log_likelihood
-from groundstation.localization.mesh import Mesh, moments
+from groundstation.localization.mesh import Mesh, joined, moments
 from groundstation.localization.problem import FloatArray, SignalModel
 from groundstation.localization.regression import Evidence
 from groundstation.localization.whitening import Observations, Whitened, whiten
 from groundstation.tracking.belief import Belief
-from groundstation.tracking.candidates import joined
 
 _PLACES = 160
 _LN10 = math.log(10.0)
@@ -127,7 +126,7 @@ def thinned(mesh: Mesh, mass: FloatArray, count: int = _PLACES) -> tuple[Any, Fl
 def _information(belief: Belief, observations: Observations, rows: Whitened) -> tuple[FloatArray, FloatArray]:
     """(V,) D(p ‖ p₋ᵥ) and (V,) H(p₋ᵥ) − H(p), nats."""
     # Without a vehicle the person may be where there is nothing with it.
-    everywhere = joined(belief.mesh, belief.gone)
+    everywhere = joined([belief.mesh, belief.gone])
     chosen, log_volume = thinned(everywhere, np.append(belief.mass, np.zeros(belief.gone.count)))
     mesh = everywhere.keep(chosen)
     links = len(belief.vehicles)

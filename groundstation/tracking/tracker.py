@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.localization.mesh import Mesh
+from groundstation.localization.mesh import Mesh, joined
 from groundstation.localization.problem import FloatArray, SearchArea, SignalModel
 from groundstation.tracking.belief import Belief, Field, TrackObservation, Update
 from groundstation.tracking.cloud import Cloud
@@ -133,12 +133,7 @@ class Tracker:
         if self._mixture is None:
             cloud, share = self._cloud().boxes()
             still, mass = self._still.mesh, self._still.mass
-            both = Mesh(
-                np.concatenate([still.center_enu_m, cloud.center_enu_m]),
-                np.concatenate([still.half_m, cloud.half_m]),
-                np.concatenate([still.log_volume, cloud.log_volume]),
-            )
-            self._mixture = both, np.concatenate([(1.0 - walking) * mass, walking * share])
+            self._mixture = joined([still, cloud]), np.concatenate([(1.0 - walking) * mass, walking * share])
         return self._mixture
 
     def _cloud(self) -> Cloud:

@@ -222,6 +222,28 @@ def test_killed_and_taken_up_again(tmp_path: Path) -> None:
     assert reader.missing_count == 0
 
 
+@pytest.mark.parametrize(
+    ("lost", "kept"), [("nothing but a snapshot's tail", [17]), ("the journal", [17, 18])]
+)
+def test_where_no_record_tells_the_journals_end_the_snapshot_does_or_nothing_is_forgotten(
+    tmp_path: Path, target_state, lost: str, kept: list[int]
+) -> None:
+    session = begin(tmp_path)
+    last = [session.record(TickInput()) for _ in range(3)][-1]
+    session.database.store(target_state(7, 17, last.time_ns))
+    session.database.store(target_state(7, 18, last.time_ns + 1))
+    if lost != "the journal":
+        session.save_snapshot(last.seq, last.time_ns, {"beliefs": 1})
+    session.abandon()
+    if lost == "the journal":
+        for path in (session.directory / "journal").iterdir():
+            path.unlink()
+    resume(session.directory, "0.1", clock=clock_at(WALL_NS, last.time_ns)).session.abandon()
+    with contextlib.closing(sqlite3.connect(session.directory / "session.sqlite")) as database:
+        rows = database.execute("SELECT sequence FROM targets ORDER BY id").fetchall()
+    assert [sequence for (sequence,) in rows] == kept
+
+
 def test_estimates_beyond_the_journals_end_are_forgotten(tmp_path: Path, target_state) -> None:
     """A run that was killed told them to the database before its journal held what they came from."""
     session = begin(tmp_path)
