@@ -71,9 +71,9 @@ def target_state(
 ) -> list[TargetState | SearchMap]:
     """The next state of a beacon; snapshot, regions and search map are made anew where due."""
     mass = belief.mass
-    summary = containment(belief.mesh, mass)
-    fresh = beacon.fresh(time_ns, settings.localization)
     model = settings.localization.model
+    summary = containment(belief.mesh, mass, shift=model.vehicle_variance_m2)
+    fresh = beacon.fresh(time_ns, settings.localization)
     environment, los_count = Environment.UNKNOWN, 0
     if fresh:
         links = links_of(fresh, frame)
@@ -87,7 +87,7 @@ def target_state(
     due = int(settings.regions_interval_s * 1e9)
     if beacon.regions_ns is None or time_ns - beacon.regions_ns >= due:
         beacon.regions_ns = time_ns
-        picture = smooth_raster(belief.mesh, mass)
+        picture = smooth_raster(belief.mesh, mass, shift=model.vehicle_variance_m2)
         regions = regions_geodetic(region_rings(belief.mesh, mass, picture=picture), frame)
     beacon.sequence += 1
     east, north, up = (float(value) for value in summary.position_enu_m)
@@ -148,7 +148,8 @@ def _renew_snapshot(
     beacon.snapshot = SnapshotEstimate(
         time_ns=time_ns,
         position=rounded_place(frame.to_geodetic((east, north, up))),
-        covariance_enu_m2=covariance_tuple(estimate.covariance_m2),
+        # What the vehicles' told places are off by in common moves the answer with them.
+        covariance_enu_m2=covariance_tuple(estimate.covariance_m2 + limits.model.vehicle_covariance_m2),
         environment=estimate.environment,
         method=estimate.method,
         transmit_power_dbm=round(power, 3) if np.isfinite(power) else None,

@@ -28,6 +28,7 @@ import numpy as np
 
 from groundstation.localization.likelihood import (
     ANYWHERE,
+    angle_variance,
     residual_along,
     stray_share,
     widened_variance,
@@ -139,17 +140,21 @@ class Bearings:
         spread_m2 = (mesh.half_m.T**2 / 3.0).astype(_SINGLE)
         azimuth = observations.azimuth_rad[rows].astype(_SINGLE)
         wide = (white[0] + constant).astype(_SINGLE)
-        near, along, across = _near_the_rays(here, azimuth, wide, there, spread_m2[0])
+        of_vehicle = model.vehicle_variance_m2
+        reach_m2 = spread_m2[0] + _SINGLE(of_vehicle[0])
+        near, along, across = _near_the_rays(here, azimuth, wide, there, reach_m2)
         pair = np.flatnonzero(near)
         number = pair // max(cells, 1)
         cell = pair - number * cells
         up = there[2].take(cell) - here[:, 2].take(number)
-        residual, of_box = residual_along(
+        residual, per_m2 = residual_along(
             (along.take(pair), across.take(pair), up),
-            spread_m2.take(cell, axis=1),
             observations.elevation_rad[rows].astype(_SINGLE).take(number),
         )
+        of_box = angle_variance(per_m2, tuple(spread_m2.take(cell, axis=1)))
         white, odds = white.astype(_SINGLE).take(number, axis=1), odds.astype(_SINGLE)
+        if any(of_vehicle):
+            white += angle_variance(per_m2, of_vehicle)
         at = (link * cells).take(number) + cell
         mean, variance = self.mean.reshape(2, -1), self.variance.reshape(2, -1)
         starts = np.searchsorted(number, ends).tolist()

@@ -3,10 +3,14 @@
 Exists to keep one definition of "90 %": the share of the belief. Rule: regions are
 highest-density, horizontal (heights added up), and the radius is that of the circle round
 the mean; both count a box's own extent, so they never shrink under the grid.
+
+A belief says where the target is seen from the vehicles' told places. What these are off by in common
+moves it as a whole and shows itself in no residual: it is added here (``Shift``), a convolution.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +28,15 @@ _RASTER = 64
 _SMOOTHING_CELLS = 1.0
 _OF_UNIFORM = 12.0**-0.5
 """Standard deviation of a uniform distribution, in its widths."""
+Shift = tuple[float, float]
+"""Variance of what moves all vehicles' told places alike: each horizontal axis, and vertical, m²."""
+_NO_SHIFT = (0.0, 0.0)
+_SHIFT_REACH = 3.5
+"""A picture goes on for so many of its standard deviations."""
+_RINGS, _RADII, _TURNS = 64, 16, 8
+"""In how many parts distances from the mean, and a shift's lengths and directions, are counted."""
+_SMALL_SHIFT = 0.02
+"""A shift so small beside the radius adds to it like a Gaussian's to a Gaussian's, to a thousandth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,9 +51,10 @@ class Containment:
     """Of the horizontal circle round the mean that holds 90 % of the belief, metres."""
 
 
-def containment(mesh: Mesh, mass: FloatArray, share: float = 0.9) -> Containment:
-    """Mean, covariance and the radius that holds ``share``."""
+def containment(mesh: Mesh, mass: FloatArray, share: float = 0.9, shift: Shift = _NO_SHIFT) -> Containment:
+    """Mean, covariance and the radius that holds ``share``; vehicles' places off by ``shift``."""
     mean, covariance = moments(mesh, mass)
+    covariance = covariance + np.diag([shift[0], shift[0], shift[1]])
     steps = (np.arange(_SUBPOINTS) + 0.5) / _SUBPOINTS * 2.0 - 1.0
     used = np.flatnonzero(mass > 1e-7 * mass.max())
     offset = mesh.center_enu_m[used, :2] - mean[:2]
@@ -53,7 +67,26 @@ def containment(mesh: Mesh, mass: FloatArray, share: float = 0.9) -> Containment
     reached = np.cumsum(weight[order])
     index = int(np.searchsorted(reached, share * reached[-1]))
     radius = float(distance.ravel()[order[min(index, order.size - 1)]])
+    if shift[0] > 0.0:
+        radius = _shifted_radius(distance.ravel(), weight, radius, share, math.sqrt(shift[0]))
     return Containment(mean, covariance, radius)
+
+
+def _shifted_radius(
+    distance_m: FloatArray, weight: FloatArray, radius_m: float, share: float, std_m: float
+) -> float:
+    """The radius that holds ``share`` once each place is moved by a Gaussian of ``std_m`` on both axes."""
+    if std_m < _SMALL_SHIFT * radius_m:
+        return math.hypot(radius_m, std_m * math.sqrt(-2.0 * math.log1p(-share)))
+    held, edges = np.histogram(distance_m, _RINGS, weights=weight)
+    ring = 0.5 * (edges[:-1] + edges[1:])[:, None, None]
+    middles = (np.arange(_RADII) + 0.5) / _RADII
+    length = std_m * np.sqrt(-2.0 * np.log1p(-middles))[:, None]
+    along = np.cos(math.pi * (np.arange(_TURNS) + 0.5) / _TURNS)
+    moved = np.sqrt(ring * (ring + 2.0 * length * along) + length * length).ravel()
+    order = np.argsort(moved, kind="stable")
+    reached = np.cumsum(np.repeat(held, _RADII * _TURNS)[order])
+    return float(np.interp(share * reached[-1], reached, moved[order]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,22 +108,24 @@ def raster(mesh: Mesh, mass: FloatArray, cells: int = _RASTER) -> Raster:
     return _laid_out(mesh, mass, cells, smooth=False)
 
 
-def smooth_raster(mesh: Mesh, mass: FloatArray, cells: int = _RASTER) -> Raster:
+def smooth_raster(mesh: Mesh, mass: FloatArray, cells: int = _RASTER, shift: Shift = _NO_SHIFT) -> Raster:
     """The raster that regions and search maps are read off: without the boxes' edges.
 
     The edges are the mesh's, not the belief's: a belief hardly wider than a box would end where the
     box does. Each is smoothed over its own width, as far as a uniform box spreads (width / √12),
-    which is what interpolating between the centres of boxes does, and over a square at least.
+    which is what interpolating between the centres of boxes does, and over a square at least. And all
+    over what the vehicles' places may be off by in common, ``shift``.
     """
-    return _laid_out(mesh, mass, cells, smooth=True)
+    return _laid_out(mesh, mass, cells, smooth=True, shift_std_m=math.sqrt(shift[0]))
 
 
-def _laid_out(mesh: Mesh, mass: FloatArray, cells: int, smooth: bool) -> Raster:
+def _laid_out(mesh: Mesh, mass: FloatArray, cells: int, smooth: bool, shift_std_m: float = 0.0) -> Raster:
     order = np.argsort(-mass, kind="stable")
     count = int(np.searchsorted(np.cumsum(mass[order]), 0.999)) + 1
     used = order[:count]
     center, half = mesh.center_enu_m[used, :2], mesh.half_m[used, :1]
-    low, high = (center - half).min(axis=0), (center + half).max(axis=0)
+    reach = half + _SHIFT_REACH * shift_std_m
+    low, high = (center - reach).min(axis=0), (center + reach).max(axis=0)
     cell = float((high - low).max()) / cells
     low = 0.5 * (low + high) - 0.5 * cells * cell
     # Every box is laid out in enough points to fill the squares that it covers.
@@ -110,7 +145,8 @@ def _laid_out(mesh: Mesh, mass: FloatArray, cells: int, smooth: bool) -> Raster:
         part = np.bincount(index, weights=share, minlength=cells * cells).reshape(cells, cells)
         if smooth:
             spread = float(mass[used][here] @ width[here] / mass[used][here].sum()) * _OF_UNIFORM / cell
-            part = gaussian_filter(part, max(spread, _SMOOTHING_CELLS), mode="constant")
+            spread = math.hypot(max(spread, _SMOOTHING_CELLS), shift_std_m / cell)
+            part = gaussian_filter(part, spread, mode="constant")
         values += part
     return Raster(float(low[0]), float(low[1]), cell, values)
 

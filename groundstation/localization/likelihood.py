@@ -21,6 +21,9 @@ Model of an observation on link i from place a_i, for a target at x, L_i = log�
 * e_i is white: measurement noise.
 * A bearing points at the target with Gaussian errors on a LOS link, but for a share of outliers;
   on an NLOS link anywhere.
+* a_i is told with an error of a metre or so, which is much the same from window to window and, of
+  satellite receivers side by side, from vehicle to vehicle. What all share moves the answer as it is:
+  ``containment`` adds it. What they do not share turns bearings from near by: white, per bearing.
 """
 
 from __future__ import annotations
@@ -159,35 +162,48 @@ def path_loss_of_square(square_m2: FloatArray) -> FloatArray:
 
 
 def bearing_residual(
-    offset_m: FloatArray, spread_m2: Any, bearing_rad: tuple[Any, Any]
-) -> tuple[FloatArray, FloatArray]:
+    offset_m: FloatArray, bearing_rad: tuple[Any, Any]
+) -> tuple[FloatArray, tuple[Any, Any, Any]]:
     """How far a bearing (azimuth, elevation) turns from the way to ``offset_m`` (3, …): (2, …) radians.
 
-    And what ``spread_m2`` (2, …), the variance of the target's place in its box, horizontal (each
-    axis) and vertical, adds to the variances of the two: (2, …) rad².
+    And what ``angle_variance`` asks for.
     """
     east, north, up = offset_m
     azimuth, elevation = bearing_rad
     cos, sin = np.cos(azimuth), np.sin(azimuth)
-    return residual_along((east * cos + north * sin, north * cos - east * sin, up), spread_m2, elevation)
+    return residual_along((east * cos + north * sin, north * cos - east * sin, up), elevation)
 
 
 def residual_along(
-    offset_m: tuple[Any, Any, Any], spread_m2: Any, elevation_rad: Any
-) -> tuple[FloatArray, FloatArray]:
+    offset_m: tuple[Any, Any, Any], elevation_rad: Any
+) -> tuple[FloatArray, tuple[Any, Any, Any]]:
     """``bearing_residual`` of a way ``offset_m`` along the bearing's azimuth, across it (left) and up."""
     along, across, up = offset_m
-    across_m2, upright_m2 = spread_m2
     horizontal2 = np.maximum(along * along + across * across, 0.01)
     up2 = up * up
-    distance2 = horizontal2 + up2
-    residual, of_box = np.empty((2, 2, *horizontal2.shape), dtype=horizontal2.dtype)
+    residual = np.empty((2, *horizontal2.shape), dtype=horizontal2.dtype)
     # The way turns against the bearing as the bearing turns against the way.
     np.arctan2(-across, along, out=residual[0])
     np.subtract(elevation_rad, np.arctan2(up, np.sqrt(horizontal2)), out=residual[1])
-    np.divide(across_m2, horizontal2, out=of_box[0])
-    np.divide(across_m2 * up2 + upright_m2 * horizontal2, distance2 * distance2, out=of_box[1])
-    return residual, of_box
+    fourth = horizontal2 + up2
+    fourth *= fourth
+    up2 /= fourth
+    np.divide(horizontal2, fourth, out=fourth)
+    return residual, (np.divide(1.0, horizontal2, out=horizontal2), up2, fourth)
+
+
+def angle_variance(per_m2: tuple[Any, Any, Any], spread_m2: tuple[Any, Any]) -> FloatArray:
+    """(2, …) rad² that a variance of a place, horizontal (each axis) and vertical, m², adds to a bearing's.
+
+    ``per_m2``, of each bearing: azimuth² per horizontal m², elevation² per horizontal and per vertical m².
+    """
+    turn, lift, rise = per_m2
+    across, upright = spread_m2
+    result: FloatArray = np.empty((2, *turn.shape), dtype=turn.dtype)
+    np.multiply(across, turn, out=result[0])
+    np.multiply(across, lift, out=result[1])
+    result[1] += upright * rise
+    return result
 
 
 def bearing_density(
@@ -196,16 +212,20 @@ def bearing_density(
     upright_m2: Any,
     bearing_rad: tuple[Any, Any],
     std_rad: tuple[Any, Any],
+    vehicle_m2: tuple[float, float] = (0.0, 0.0),
 ) -> FloatArray:
     """Density of a bearing (azimuth, elevation) per rad², seen over ``offset_m`` (3, …) from the vehicle.
 
     ``across_m2`` and ``upright_m2``: variance of the target's place in its box, horizontal (each
     axis) and vertical, added to the bearing's where the box is wider than the ray, so that a coarse
-    box is not thrown away because its centre lies beside it.
+    box is not thrown away because its centre lies beside it. ``vehicle_m2``: the same variances of the
+    place that the vehicle told.
     """
-    (turn, lift), (of_turn, of_lift) = bearing_residual(offset_m, (across_m2, upright_m2), bearing_rad)
-    variance_az = widened_variance(std_rad[0] ** 2, of_turn)
-    variance_el = widened_variance(std_rad[1] ** 2, of_lift)
+    (turn, lift), per_m2 = bearing_residual(offset_m, bearing_rad)
+    of_vehicle = angle_variance(per_m2, vehicle_m2)
+    of_turn, of_lift = angle_variance(per_m2, (across_m2, upright_m2))
+    variance_az = widened_variance(std_rad[0] ** 2 + of_vehicle[0], of_turn)
+    variance_el = widened_variance(std_rad[1] ** 2 + of_vehicle[1], of_lift)
     density: FloatArray = np.exp(-0.5 * (turn * turn / variance_az + lift * lift / variance_el))
     density /= 2.0 * math.pi * np.sqrt(variance_az * variance_el)
     return density

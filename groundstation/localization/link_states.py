@@ -298,6 +298,7 @@ class LinkStates:
             upright,
             (azimuth, elevation),
             (model.azimuth_std_rad, model.elevation_std_rad),
+            model.vehicle_variance_m2,
         )
         stray = stray_share(model)
         ratio *= (1.0 - stray) / ANYWHERE

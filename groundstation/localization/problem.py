@@ -264,6 +264,12 @@ class SignalModel:
     nlos_exponent_doubt: float = 0.0
     """How far β_NLOS may lie beyond these limits after all: there its density falls by e for each such
     step of ln β; 0: not at all (tracker only)."""
+    vehicle_position_std_m: float = 0.0
+    """How far off the vehicles' told places may be, east and north each, metres (``posterior`` and tracker);
+    it does not average out along a flight. Bearings from near by and the answer's spread count it, powers
+    hardly change over it."""
+    vehicle_height_std_m: float = 0.0
+    """The same of their heights, metres."""
     shared_shadowing: float = 0.0
     """Share of the shadowing's variance that all vehicles meet alike at one place, 0 to 1 (tracker only)."""
     nlos_bias_max_db: float = 7.0
@@ -306,6 +312,11 @@ class SignalModel:
                 raise InputError(
                     f"signal model: {name} is {getattr(self, name)}; a share from 0 to below 1 is needed"
                 )
+        for name in ("vehicle_position_std_m", "vehicle_height_std_m"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise InputError(
+                    f"signal model: {name} is {getattr(self, name)}; metres, 0 or more, are needed"
+                )
         if self.nlos_exponent_max < self.nlos_exponent_min:
             raise InputError("signal model: nlos_exponent_max lies under nlos_exponent_min")
         if self.transmit_power_max_dbm < self.transmit_power_min_dbm:
@@ -315,6 +326,17 @@ class SignalModel:
     def has_antenna_null(self) -> bool:
         """Whether antennas may have a null overhead."""
         return self.antenna_null_mean != 0.0 or self.antenna_null_std > 0.0
+
+    @property
+    def vehicle_variance_m2(self) -> tuple[float, float]:
+        """Variance of a vehicle's told place on each horizontal axis, and of its height, m²."""
+        return self.vehicle_position_std_m**2, self.vehicle_height_std_m**2
+
+    @property
+    def vehicle_covariance_m2(self) -> FloatArray:
+        """The same as (3, 3) m²."""
+        flat, upright = self.vehicle_variance_m2
+        return np.diag([flat, flat, upright])
 
     @property
     def transmit_power_mean_dbm(self) -> float:

@@ -30,6 +30,8 @@ SERVICE_MODEL = SignalModel(
     nlos_bias_max_db=7.0,
     antenna_null_mean=1.2,
     antenna_null_std=1.0,
+    vehicle_position_std_m=1.0,
+    vehicle_height_std_m=2.0,
 )
 """Transmit power here is that received at one metre in the model's terms: it takes in the loss
 over the first metre (31.5 dB at 900 MHz), antennas, an excess loss common to all links and the zero
@@ -38,7 +40,8 @@ from where a calibrated one has it, and a narrow prior then turns the exponent, 
 Exponents go up to 8: the cover of a buried phone is the longer the flatter the ray, which adds
 its own exponent, (11), to that of free space, (10). Most of the shadowing is shared: what
 stands round a phone stands there for every vehicle. Upright antennas are deaf overhead: without
-that the strongest places, a ring round the transmitter, are taken for its own (docs/flights.md)."""
+that the strongest places, a ring round the transmitter, are taken for its own (docs/flights.md).
+Places are those of a satellite receiver without corrections; with RTK set both to what it reaches."""
 
 
 @dataclass(frozen=True, slots=True)

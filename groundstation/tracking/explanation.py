@@ -80,6 +80,8 @@ def explain(belief: Belief) -> tuple[LinkExplanation, ...]:
     gain, lost = _information(belief, observations, rows)
     weight = gain / max(float(gain.sum()), 1e-12)
     place, spread = moments(belief.mesh, belief.mass)
+    # A vehicle that is off by a metre sees a bearing off that nobody's compass is to blame for.
+    spread = spread + belief.model.vehicle_covariance_m2
     powers = _power_residuals(belief, observations, rows, place, spread)
     found = []
     for link, vehicle_id in enumerate(vehicles):

@@ -142,6 +142,37 @@ def test_line_of_sight_is_found_with_its_uncertainty() -> None:
     assert 0.0 <= up <= 20.0
 
 
+def test_no_answer_is_surer_than_the_vehicles_of_where_they_are() -> None:
+    """Told 3 m, not 0: estimate, regions and snapshot are wider by that, and where they were."""
+    told = {}
+    for std_m in (0.0, 3.0):
+        model = replace(
+            QUICK.localization.model, vehicle_position_std_m=std_m, vehicle_height_std_m=0.5 * std_m
+        )
+        settings = replace(QUICK, localization=replace(QUICK.localization, model=model))
+        outputs = play(Estimator(settings, MarkedCaptures()), story(12, mark=0.97))
+        told[std_m] = states(outputs)[-1], [output for output in outputs if isinstance(output, SearchMap)][-1]
+    (sharp, small), (wide, large) = told[0.0], told[3.0]
+    assert math.hypot(*np.subtract(FRAME.to_enu(sharp.position), FRAME.to_enu(wide.position))[:2]) < 3.0
+    assert sharp.snapshot is not None
+    assert wide.snapshot is not None
+    for one, other in [
+        (sharp.covariance_enu_m2, wide.covariance_enu_m2),
+        (sharp.snapshot.covariance_enu_m2, wide.snapshot.covariance_enu_m2),
+    ]:
+        assert one is not None
+        assert other is not None
+        # East–east and north–north of the upper triangle.
+        assert other[0] > one[0] + 8.9
+        assert other[3] > one[3] + 8.9
+    assert wide.radius_90_m > max(sharp.radius_90_m, 2.1 * 3.0)
+    area_m2 = [
+        float((np.frombuffer(each.containment, "<u2") <= 9000).sum()) * each.cell_m**2
+        for each in (small, large)
+    ]
+    assert area_m2[1] > area_m2[0] + 0.8 * math.pi * (2.1 * 3.0) ** 2
+
+
 def test_who_says_line_of_sight() -> None:
     rng = np.random.default_rng(0)
     judge = MarkedCaptures()

@@ -93,7 +93,7 @@ def test_windows_are_counted_and_the_turned_compass_is_found(outputs: list[Any])
     right, _, wrong = last.contributions
     # It flies 9 m a window: none is from a place that was heard from before.
     assert (wrong.windows, wrong.redundant, right.los_probability) == (11, 0, 0.95)
-    assert wrong.azimuth_residual_deg == pytest.approx(8.0, abs=3.0)
+    assert wrong.azimuth_residual_deg == pytest.approx(8.0, abs=3.5)
     assert abs(right.azimuth_residual_deg or 99.0) < 3.0
     assert (wrong.azimuth_score or 0.0) > abs(right.azimuth_score or 0.0)
     # Above the estimate is positive, for people as in mathematics.

@@ -70,6 +70,33 @@ def test_certain_bearings_are_the_multivariate_normal(vehicles: int) -> None:
     assert np.allclose(ours - ours[0], np.array(dense) - dense[0], atol=1e-4)
 
 
+def test_a_vehicle_that_is_not_where_it_says_turns_near_bearings_most() -> None:
+    """One bearing a vehicle, 1 m and 3 m off: a Gaussian of white, constant and turned by the place."""
+    seen = flight(6, 6)
+    seen.position_enu_m[:] *= np.array([0.1, 0.2, 0.4, 0.6, 0.8, 1.0])[:, None]
+    offset = TRUTH - seen.position_enu_m
+    turned = np.arctan2(offset[:, 1], offset[:, 0])
+    lifted = np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1]))
+    seen.azimuth_rad[:], seen.elevation_rad[:] = turned + 0.01, lifted - 0.02
+    model = replace(CERTAIN, vehicle_position_std_m=1.0, vehicle_height_std_m=3.0)
+    flat2 = (offset[:, :2] ** 2).sum(axis=1)
+    all2 = flat2 + offset[:, 2] ** 2
+    own = WHITE**2 + CERTAIN.angle_bias_std_rad**2
+    turn2 = own + 1.0 / flat2
+    lift2 = own + (1.0 * offset[:, 2] ** 2 + 9.0 * flat2) / all2**2
+    expected = -0.5 * (0.01**2 / turn2 + 0.02**2 / lift2) - np.log(2.0 * np.pi * np.sqrt(turn2 * lift2))
+    for row in range(6):
+        one = Observations(*(getattr(seen, name)[[row]] for name in Observations.__dataclass_fields__))
+        one.link[:] = 0
+        both = [angle_log_likelihood(one, 0, TRUTH[None], small(1), m)[0, 0] for m in (model, CERTAIN)]
+        plain = -0.5 * (0.01**2 + 0.02**2) / own - np.log(2.0 * np.pi * own)
+        # What a bearing may claim is the same for both, its density is not.
+        assert both[0] - both[1] == pytest.approx(expected[row] - plain, abs=2e-3)
+    sides = TRUTH + np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    told = [angle_log_likelihood(shown(seen, 1), 0, sides, small(2), m)[0] for m in (model, CERTAIN)]
+    assert told[0][0] - told[0][1] < 0.2 * (told[1][0] - told[1][1])
+
+
 def test_a_constant_error_shows_itself_when_the_geometry_changes() -> None:
     """0.05 rad off, σ 0.02: after an arc of 4 rad the truth is likelier than where the first ray goes."""
     seen = flight(40, error_rad=0.05)

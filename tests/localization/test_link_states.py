@@ -75,13 +75,15 @@ def ours(links: Links, center: np.ndarray, half: np.ndarray, model: SignalModel 
     return states.log_likelihood(np.zeros(len(center), dtype=int), center, half)[0]
 
 
+@pytest.mark.parametrize("off_m", [0.0, 3.0])
 @pytest.mark.parametrize("p", [[1.0, 1.0, 0.0], [0.0] * 5, [1.0] * 4, [0.0]])
-def test_certain_links_weigh_as_in_the_tracker(p: list[float]) -> None:
+def test_certain_links_weigh_as_in_the_tracker(p: list[float], off_m: float) -> None:
     """The snapshot is the tracker's first update: one likelihood, to the tracker's single precision."""
     links = snapshot(p, 3)
     center, half = boxes(30, 4)
-    there = tracker_log_likelihood(links, links.los_probability, center, half, MODEL)
-    here = ours(links, center, half)
+    model = replace(MODEL, vehicle_position_std_m=off_m, vehicle_height_std_m=2.0 * off_m)
+    there = tracker_log_likelihood(links, links.los_probability, center, half, model)
+    here = ours(links, center, half, model)
     assert np.allclose(here - here[0], there - there[0], atol=1e-4)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,8 +51,8 @@ def heard(
     )  # fmt: skip
 
 
-def believed(windows: list[TrackObservation], tick: int = 4) -> Belief:
-    belief = Belief(AREA, MODEL, SETTINGS)
+def believed(windows: list[TrackObservation], tick: int = 4, model: SignalModel = MODEL) -> Belief:
+    belief = Belief(AREA, model, SETTINGS)
     for start in range(0, len(windows), tick):
         belief.update(windows[start : start + tick])
     return belief
@@ -164,7 +165,10 @@ def test_a_bearing_that_is_turned_shows_on_its_side() -> None:
 
 
 def test_residuals_weigh_less_where_the_place_is_not_sure(monkeypatch: pytest.MonkeyPatch) -> None:
-    """20 m of doubt in the place are 20 m/d of doubt in a bearing, and 10 β/(d ln 10) dB a metre."""
+    """20 m of doubt in the place are 20 m/d of doubt in a bearing, and 10 β/(d ln 10) dB a metre.
+
+    So are 20 m of doubt in the vehicles' own places.
+    """
     rng = np.random.default_rng(10)
     windows = [
         heard(vehicle, second, rng, turned_rad=0.02, lifted_rad=0.02, los=0.9)
@@ -172,6 +176,7 @@ def test_residuals_weigh_less_where_the_place_is_not_sure(monkeypatch: pytest.Mo
         for vehicle in (1, 2)
     ]
     belief = believed(windows)
+    lost = believed(windows, model=replace(MODEL, vehicle_position_std_m=20.0, vehicle_height_std_m=20.0))
 
     def stds(link: LinkExplanation) -> tuple[float, ...]:
         told = (
@@ -181,12 +186,14 @@ def test_residuals_weigh_less_where_the_place_is_not_sure(monkeypatch: pytest.Mo
         )
         return tuple((residual or math.nan) / (score or math.nan) for residual, score in told)
 
-    def told(std_m: float) -> dict[int, LinkExplanation]:
+    def told(std_m: float, belief: Belief = belief) -> dict[int, LinkExplanation]:
         spread = np.eye(3) * std_m**2
         monkeypatch.setattr(explanation, "moments", lambda mesh, mass: (TRUTH, spread))
         return by_vehicle(belief)
 
     sure, unsure = told(0.0), told(20.0)
+    for vehicle, link in told(0.0, lost).items():
+        assert stds(link) == pytest.approx(stds(unsure[vehicle]), rel=0.02)
     for vehicle, link in unsure.items():
         assert link.power_residual_db == sure[vehicle].power_residual_db
         grown = [

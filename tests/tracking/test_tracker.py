@@ -66,6 +66,26 @@ def test_of_a_still_person_the_answer_is_the_still_beliefs_bit_for_bit() -> None
     assert tracker.transmit_power_dbm() == still.transmit_power_dbm()
 
 
+def test_vehicles_that_are_not_where_they_say_do_not_make_the_answer_too_sure() -> None:
+    """Told places 1.5 m off, the same way for 60 s, one line of sight: 6 flights, each told so or not."""
+    told = replace(PAPER, vehicle_position_std_m=1.0, vehicle_height_std_m=2.0)
+    inside = {PAPER: 0, told: 0}
+    for seed in range(6):
+        heard, truth = walk(20 + seed, 60, 0.0)
+        turn = 1.0 * seed
+        off = np.array([1.5 * math.cos(turn), 1.5 * math.sin(turn), 0.0])
+        trackers = {model: Tracker(AREA, model, SETTINGS, seed) for model in inside}
+        for windows in heard:
+            moved = [replace(w, position_enu_m=tuple(np.array(w.position_enu_m) + off)) for w in windows]
+            for tracker in trackers.values():
+                tracker.update(moved)
+        for model, tracker in trackers.items():
+            said = containment(tracker.mesh, tracker.mass, shift=model.vehicle_variance_m2)
+            inside[model] += np.hypot(*(said.position_enu_m - truth[-1])[:2]) <= said.radius_90_m
+    assert inside[told] >= 5
+    assert inside[PAPER] <= 3
+
+
 def test_a_walker_is_found_out_and_followed() -> None:
     """1.2 m/s, one vehicle in line of sight, 60 s: he comes 72 m far."""
     heard, truth = walk(2, 60, 1.2)

@@ -15,7 +15,7 @@ from groundstation.localization import SERVICE_MODEL, SignalModel
 from groundstation.localization.problem import FloatArray
 from groundstation.tracking import TrackingSettings
 from sim_sitl.studies.tracking.paths import Path, Shape
-from sim_sitl.studies.tracking.world import Labels, World
+from sim_sitl.studies.tracking.world import HEIGHT_ERROR, Labels, World
 
 TIMES_S = (0.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)
 """When answers are taken; a window of each vehicle comes every second, the first at 0."""
@@ -23,6 +23,8 @@ WALKING_TIMES_S = (*TIMES_S, 180.0, 240.0, 300.0)
 """The same where somebody walks: noticing it takes time."""
 WALKING_M_S = 1.0
 """Speed of those who walk."""
+PLACE_ERROR_M = 1.0
+"""σ of the error of a vehicle's told place where it is off, east and north each."""
 FACTOR = 1.5
 """How far off a wrong assumption is."""
 
@@ -55,6 +57,8 @@ def told_of(world: World) -> Told:
         nlos_exponent_max=world.nlos_exponent[1],
         nlos_bias_max_db=world.bias_max_db,
         shared_shadowing=0.0,
+        vehicle_position_std_m=world.place_error_m,
+        vehicle_height_std_m=HEIGHT_ERROR * world.place_error_m,
     )
     settings = TrackingSettings(
         correlation_m=world.correlation_m,
@@ -103,6 +107,7 @@ SECTIONS: Mapping[str, str] = {
     "los": "All links in line of sight",
     "snapshot": "One window of each vehicle, no movement",
     "walking": "Somebody walks",
+    "places": "The vehicles' told places are off, as a satellite receiver's are",
     "wrong": "What is told is wrong",
 }
 
@@ -137,6 +142,16 @@ def _walking(key: str, title: str, world: World) -> Case:
         Path(Shape.ORBIT), told_of(moving), ("tracker", "still", "centre"), WALKING_TIMES_S,
         note="He keeps a heading for about a minute and turns at the area's edge. Nobody is told.",
     )  # fmt: skip
+
+
+def _misplaced(key: str, title: str, world: World, shape: Shape) -> Case:
+    return replace(
+        _flight(key, title, replace(world, place_error_m=PLACE_ERROR_M), shape, ("tracker", "centre")),
+        name=f"{key}-misplaced" + ("" if shape is Shape.ORBIT else f"-{shape.value}"),
+        section="places",
+        note=f"Off by {PLACE_ERROR_M:g} m on each horizontal axis and twice that in height, for minutes, half"
+        " of it (in variance) alike for all vehicles. Told as what it is.",
+    )
 
 
 def _snapshot(key: str, title: str, world: World, limit_m: float) -> Case:
@@ -186,6 +201,10 @@ CASES: dict[str, Case] = {
         _snapshot("mixed", "Mixed, b_k ≤ 7 dB, angles 1° white", replace(MIXED, bias_max_db=7.0), 14.1),
         _walking("nlos", "NLOS", NLOS),
         _walking("mixed", "Mixed", MIXED),
+        _misplaced("nlos", "NLOS", NLOS, Shape.ORBIT),
+        _misplaced("mixed", "Mixed", MIXED, Shape.ORBIT),
+        _misplaced("mixed", "Mixed", MIXED, Shape.ORACLE),
+        _misplaced("los", "LOS", LOS, Shape.ORBIT),
         _wrong("exponent-high", "exponents told × 1.5: 3 to 5.25", _exponents(FACTOR), {}),
         _wrong("exponent-low", "exponents told / 1.5: 1.33 to 2.33", _exponents(1.0 / FACTOR), {}),
         _wrong("sigma-high", "σ told × 1.5: 7.5 dB", _sigma(FACTOR), {}),

@@ -85,20 +85,26 @@ def track(run: Run, ticks: Any, make: Make, model: SignalModel, settings: Tracki
         tracker.update(batch)
         spent += time.thread_time() - began
         if tick == ticks[row]:
-            _read(tracker, run, tick, answers, row)
+            _read(tracker, run, tick, answers, row, model.vehicle_variance_m2)
             row += 1
     return replace(answers, cpu_s=spent)
 
 
-def _read(tracker: Tracking, run: Run, tick: int, answers: Answers, row: int) -> None:
+def _read(
+    tracker: Tracking, run: Run, tick: int, answers: Answers, row: int, shift: tuple[float, float]
+) -> None:
     mesh, mass = tracker.mesh, tracker.mass
     answers.mean_enu_m[row] = moments(mesh, mass)[0]
     truth = run.truth_enu_m[tick]
     if isinstance(tracker, Tracker):
         answers.walking[row] = tracker.walking_probability
-    answers.level[row], answers.area_m2[row] = level_of(smooth_raster(mesh, mass, _RASTER_CELLS), truth)
+    answers.level[row], answers.area_m2[row] = level_of(
+        smooth_raster(mesh, mass, _RASTER_CELLS, shift), truth
+    )
     point = shapely.Point(truth[:2])
-    for column, (_, rings) in enumerate(region_rings(mesh, mass, SHARES)):
+    for column, (_, rings) in enumerate(
+        region_rings(mesh, mass, SHARES, smooth_raster(mesh, mass, shift=shift))
+    ):
         # Even–odd: a ring inside a ring is a hole.
         inside = sum(shapely.contains(shapely.Polygon(ring), point) for ring in rings)
         answers.drawn[row, column] = float(inside % 2)

@@ -29,6 +29,8 @@ from sim_sitl.studies.tracking.paths import Path
 TARGET_HEIGHTS_M = (1.0, 20.0)
 HEADING_MEMORY_S = 60.0
 """How long a walker keeps his heading: the cosine of its change falls by e in that time."""
+HEIGHT_ERROR = 2.0
+"""Error of a told height, in those of the place."""
 _LABEL_SPREAD = 2.66
 """Distance of the two states' scores, in their standard deviations: AUC Φ(2.66/√2) = 0.97."""
 
@@ -78,6 +80,12 @@ class World:
     """σ of each window's azimuth and elevation on a line of sight."""
     angle_constant_rad: float = math.radians(1.0)
     """σ of each vehicle's constant error of azimuth and of elevation."""
+    place_error_m: float = 0.0
+    """σ of the error of the vehicles' told places, east and north each; twice that in height."""
+    place_error_shared: float = 0.5
+    """Share of its variance that all vehicles have alike (satellites, ionosphere); the rest is each one's."""
+    place_error_memory_s: float = 300.0
+    """How long such an error lasts: a Gauss–Markov process."""
     labels: Labels = Labels()
     """What is told of the states."""
     ruined_share: float = 0.0
@@ -95,7 +103,7 @@ class Run:
     time_s: FloatArray
     """(T,) from the start, seconds."""
     position_enu_m: FloatArray
-    """(T, K, 3)"""
+    """(T, K, 3) as told."""
     rss_dbm: FloatArray
     """(T, K)"""
     azimuth_rad: FloatArray
@@ -113,8 +121,8 @@ class Run:
 def draw_run(world: World, path: Path, time_s: FloatArray, seed: int, number: int) -> Run:
     """Run ``number`` of ``world`` along ``path``, windows at ``time_s`` (T,)."""
     root = np.random.SeedSequence(seed, spawn_key=(case_key(world.name), number))
-    scene, noise, told, *fields, steps = (
-        np.random.default_rng(child) for child in root.spawn(4 + len(world.line_of_sight))
+    scene, noise, told, *fields, steps, satellites = (
+        np.random.default_rng(child) for child in root.spawn(5 + len(world.line_of_sight))
     )
     reach, turn = path.radius_m * math.sqrt(scene.random()), 2.0 * math.pi * scene.random()
     start = np.array([reach * math.cos(turn), reach * math.sin(turn), scene.uniform(*TARGET_HEIGHTS_M)])
@@ -143,11 +151,25 @@ def draw_run(world: World, path: Path, time_s: FloatArray, seed: int, number: in
     elevation = np.where(los > 0.5, elevation, noise.uniform(-0.5 * math.pi, 0.5 * math.pi, shape))
     ruined = noise.random(shape) < world.ruined_share
     rss = rss + np.where(ruined, np.where(noise.random(shape) < 0.5, 1.0, -1.0) * world.ruined_db, 0.0)
+    told_places = places + _place_errors(world, time_s, shape[1], satellites)
     area = SearchArea(np.zeros(2), path.radius_m, *TARGET_HEIGHTS_M)
     return Run(
-        time_s, places, rss, np.arctan2(np.sin(azimuth), np.cos(azimuth)), elevation,
+        time_s, told_places, rss, np.arctan2(np.sin(azimuth), np.cos(azimuth)), elevation,
         world.labels.probabilities(los, told), truth, area,
     )  # fmt: skip
+
+
+def _place_errors(world: World, time_s: FloatArray, vehicles: int, rng: np.random.Generator) -> FloatArray:
+    """(T, K, 3) metres by which the vehicles' told places are off."""
+    fresh = rng.standard_normal((time_s.size, 1 + vehicles, 3))
+    error = fresh.copy()
+    for at, step_s in enumerate(np.diff(time_s), start=1):
+        kept = math.exp(-step_s / world.place_error_memory_s)
+        error[at] = kept * error[at - 1] + math.sqrt(1.0 - kept * kept) * fresh[at]
+    shared = world.place_error_shared
+    error = math.sqrt(shared) * error[:, :1] + math.sqrt(1.0 - shared) * error[:, 1:]
+    result: FloatArray = world.place_error_m * error * np.array([1.0, 1.0, HEIGHT_ERROR])
+    return result
 
 
 def _walked(

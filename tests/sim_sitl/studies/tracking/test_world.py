@@ -134,3 +134,26 @@ def test_a_walker_keeps_his_speed_and_stays_in_the_area_and_the_still_are_not_to
     offset = run.truth_enu_m[:, None] - run.position_enu_m
     error = run.azimuth_rad - np.arctan2(offset[..., 1], offset[..., 0])
     assert np.abs(np.remainder(error + np.pi, 2.0 * np.pi) - np.pi).max() < np.radians(10.0)
+
+
+def test_told_places_are_off_for_minutes_and_half_alike() -> None:
+    """200 runs: 1 m on each horizontal axis, 2 m in height; what is heard is the same."""
+    plain, off = CASES["mixed-orbit"], CASES["mixed-misplaced"]
+    assert off.told.model.vehicle_position_std_m == 1.0
+    assert off.told.model.vehicle_height_std_m == 2.0
+    time_s = np.array([0.0, 1.0, 300.0])
+    errors = []
+    for number in range(200):
+        one, two = (draw_run(case.world, case.path, time_s, 4, number) for case in (plain, off))
+        np.testing.assert_array_equal(one.azimuth_rad, two.azimuth_rad)
+        np.testing.assert_array_equal(one.rss_dbm, two.rss_dbm)
+        errors.append(two.position_enu_m - one.position_enu_m)
+    error = np.array(errors)
+    np.testing.assert_allclose(error.std(axis=(0, 1, 2)), [1.0, 1.0, 2.0], rtol=0.12)
+
+    def correlation(a: np.ndarray, b: np.ndarray) -> float:
+        return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+
+    assert correlation(error[:, 0], error[:, 1]) > 0.98
+    assert correlation(error[:, 0], error[:, 2]) == pytest.approx(np.exp(-1.0), abs=0.12)
+    assert correlation(error[:, 0, 0, :2], error[:, 0, 1, :2]) == pytest.approx(0.5, abs=0.12)
