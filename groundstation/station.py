@@ -328,7 +328,8 @@ class Station:
         return self.desk.plan_request(self._now_ns(), list(targets.values()))
 
     def _propose(self, request: PlanRequest) -> PlanInput:
-        return propose(request, self.settings.guidance, self.settings.safety)
+        model = self.settings.estimator.localization.model
+        return propose(request, self.settings.guidance, self.settings.safety, model.least_radius_90_m)
 
     async def _housekeeping(self) -> None:
         loop = asyncio.get_running_loop()

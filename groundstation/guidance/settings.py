@@ -20,7 +20,8 @@ class GuidanceSettings:
     standoff_max_m: float = 200.0
     """Largest horizontal distance from the estimate, metres."""
     found_radius_m: float = 3.0
-    """A beacon whose 90 % radius is below this needs no more vehicles, metres."""
+    """A beacon whose 90 % radius is below this needs no more vehicles, metres; what the vehicles' own places
+    are unsure by, which no flight makes better, does not count."""
     stale_target_s: float = 120.0
     """A beacon not heard for longer gets no vehicles, seconds."""
     vehicles_per_beacon: int = 3

@@ -34,9 +34,12 @@ _PARTS_OF_WAY = (0.8, 0.6, 0.4, 0.25)
 _POINTS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 
 
-def propose(request: PlanRequest, settings: GuidanceSettings, safety: SafetySettings) -> PlanInput:
+def propose(
+    request: PlanRequest, settings: GuidanceSettings, safety: SafetySettings, least_radius_m: float = 0.0
+) -> PlanInput:
     """Proposals for vehicles that would learn more elsewhere.
 
+    ``least_radius_m``: of a 90 % radius, what comes of the vehicles' own places and no flight makes less.
     They have passed the gate, at most one a vehicle; notes say why the others got none.
     """
     notes: list[str] = []
@@ -44,7 +47,7 @@ def propose(request: PlanRequest, settings: GuidanceSettings, safety: SafetySett
     going_to = dict(request.going_to)
     airspace = Airspace(request.time_ns, request.mission, vehicles, going_to)
     free = _free_vehicles(airspace, safety, notes)
-    beacons = _beacons_in_need(request, settings, notes)
+    beacons = _beacons_in_need(request, settings, math.hypot(settings.found_radius_m, least_radius_m), notes)
     if not free or not beacons or request.mission.fence is None:
         if request.mission.fence is None:
             notes.insert(0, "no fence is set: no vehicle can be sent anywhere")
@@ -73,13 +76,15 @@ def _free_vehicles(airspace: Airspace, safety: SafetySettings, notes: list[str])
     return free
 
 
-def _beacons_in_need(request: PlanRequest, settings: GuidanceSettings, notes: list[str]) -> list[TargetState]:
+def _beacons_in_need(
+    request: PlanRequest, settings: GuidanceSettings, found_radius_m: float, notes: list[str]
+) -> list[TargetState]:
     needy = []
     for target in sorted(request.targets, key=lambda t: t.beacon_id):
         silent_s = (request.time_ns - target.last_heard_ns) * 1e-9
         if silent_s > settings.stale_target_s:
             notes.append(f"beacon {target.beacon_id}: not heard for {silent_s:.0f} s, no vehicle is sent")
-        elif target.radius_90_m <= settings.found_radius_m:
+        elif target.radius_90_m <= found_radius_m:
             known_m = target.radius_90_m
             notes.append(f"beacon {target.beacon_id}: known to within {known_m:.0f} m, nothing to gain")
         elif target.position.is_valid():

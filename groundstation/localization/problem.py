@@ -339,6 +339,11 @@ class SignalModel:
         return np.diag([flat, flat, upright])
 
     @property
+    def least_radius_90_m(self) -> float:
+        """What no flight gets a 90 % radius under, metres: that of the vehicles' own places."""
+        return self.vehicle_position_std_m * math.sqrt(-2.0 * math.log(0.1))
+
+    @property
     def transmit_power_mean_dbm(self) -> float:
         """Mean of the transmit power's prior (the known power where there is one)."""
         if self.known_transmit_power_dbm is not None:

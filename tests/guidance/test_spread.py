@@ -158,6 +158,15 @@ def test_places_of_one_plan_keep_their_distance(request_of, cluster, belief, fra
         assert math.dist(frame.to_enu(a.position), frame.to_enu(b.position)) >= 14.9
 
 
+def test_no_vehicle_is_sent_for_what_it_cannot_make_better(request_of, cluster, belief):
+    """5 m of 90 % radius, of which the vehicles' own places are 4.3 m: the beacon is found within 3 m."""
+    request = request_of(cluster, [belief(radius=5.0)])
+    assert propose(request, SETTINGS, SAFETY).proposals
+    plan = propose(request, SETTINGS, SAFETY, least_radius_m=4.3)
+    assert plan.proposals == ()
+    assert any("nothing to gain" in note for note in plan.notes)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
