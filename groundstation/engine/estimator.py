@@ -54,6 +54,8 @@ EstimatorOutput = (
 )
 
 _STATE_VERSION = 3
+_LIVELY_NS = 10_000_000_000
+"""A beacon updated within the last ten seconds counts among those that take turns."""
 
 
 class Estimator:
@@ -332,7 +334,11 @@ class Estimator:
         assert frame is not None
         others = self._joins.others(beacon.beacon_id)
         reference = self._ground.height_reference(belief.mass @ belief.mesh.center_enu_m)
-        return target_state(time_ns, beacon, belief, frame, reference, self._settings, self._tally, others)
+        oldest_ns = time_ns - _LIVELY_NS
+        lively = [b for b in self._believed() if b.updated_ns is not None and b.updated_ns > oldest_ns]
+        return target_state(
+            time_ns, beacon, belief, frame, reference, self._settings, self._tally, others, lively
+        )
 
     def state(self) -> dict[str, Any]:
         """Everything but settings, classifier and mission; ``restore`` continues bit for bit.

@@ -25,8 +25,12 @@ class EstimatorSettings:
     """Beacons updated on one tick, those that waited longest first: bounds the load of many beacons."""
     snapshot_interval_s: float = 2.0
     """Algorithm 1 runs at most this often a beacon, seconds."""
+    snapshots_interval_s: float = 0.25
+    """Of many beacons each has its turn for one, so far apart in all: bounds their load, seconds."""
     regions_interval_s: float = 2.0
-    """Containment regions are drawn at most this often a beacon, seconds."""
+    """Containment regions and search map are drawn at most this often a beacon, seconds."""
+    all_regions_interval_s: float = 0.1
+    """The same of them: with 50 beacons each is drawn every five seconds."""
     explanation_interval_s: float = 5.0
     """What each vehicle contributed is worked out at most this often a beacon, seconds."""
     explanations_interval_s: float = 0.5

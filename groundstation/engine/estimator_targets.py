@@ -8,6 +8,7 @@ regions, which are dear, have intervals of their own.
 from __future__ import annotations
 
 from collections import Counter as Tally
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -68,8 +69,12 @@ def target_state(
     settings: EstimatorSettings,
     tally: Tally[str],
     joined_beacon_ids: tuple[int, ...] = (),
+    lively: Sequence[Beacon] = (),
 ) -> list[TargetState | SearchMap]:
-    """The next state of a beacon; snapshot, regions and search map are made anew where due."""
+    """The next state of a beacon; snapshot, regions and search map are made anew where due.
+
+    ``lively``: beacons that are told of these days; of many, each has its turn less often.
+    """
     mass = belief.mass
     model = settings.localization.model
     summary = containment(belief.mesh, mass, shift=model.vehicle_variance_m2)
@@ -79,13 +84,13 @@ def target_state(
         links = links_of(fresh, frame)
         environment = environment_of(links, model)
         los_count = int(links.los(model.los_threshold).sum())
-        _renew_snapshot(time_ns, beacon, fresh, links, belief.area, frame, settings, tally)
+        _renew_snapshot(time_ns, beacon, fresh, links, belief.area, frame, settings, tally, lively)
     else:
         beacon.snapshot = None
     regions: tuple[Any, ...] = ()
     picture = None
-    due = int(settings.regions_interval_s * 1e9)
-    if beacon.regions_ns is None or time_ns - beacon.regions_ns >= due:
+    each_s, any_s = settings.regions_interval_s, settings.all_regions_interval_s
+    if beacon.regions_ns is None or _is_due(beacon.regions_ns, time_ns, each_s, any_s, beacon, lively):
         beacon.regions_ns = time_ns
         picture = smooth_raster(belief.mesh, mass, shift=model.vehicle_variance_m2)
         regions = regions_geodetic(region_rings(belief.mesh, mass, picture=picture), frame)
@@ -114,6 +119,24 @@ def target_state(
     return [state] if picture is None else [state, search_map(state, picture, frame)]
 
 
+def _is_due(
+    last_ns: int, time_ns: int, each_s: float, any_s: float, beacon: Beacon, lively: Sequence[Beacon]
+) -> bool:
+    """Whether what a beacon had at ``last_ns`` is due again: every ``each_s``, or one by one in turn.
+
+    With so many that each would get one more often than ``any_s`` apart in all, every beacon has a
+    moment of its own in a round: the load of many is bounded and even.
+    """
+    round_ns = int(len(lively) * any_s * 1e9)
+    if time_ns - last_ns < int(each_s * 1e9):
+        return False
+    if round_ns <= int(each_s * 1e9):
+        return True
+    place = next((number for number, other in enumerate(lively) if other is beacon), 0)
+    mine_ns = place * round_ns // len(lively)
+    return (time_ns - mine_ns) // round_ns > (last_ns - mine_ns) // round_ns
+
+
 def _renew_snapshot(
     time_ns: int,
     beacon: Beacon,
@@ -123,6 +146,7 @@ def _renew_snapshot(
     frame: LocalFrame,
     settings: EstimatorSettings,
     tally: Tally[str],
+    lively: Sequence[Beacon],
 ) -> None:
     """Algorithm 1 on the newest windows, when it is due and has enough of them."""
     limits = settings.localization
@@ -130,8 +154,12 @@ def _renew_snapshot(
         tally["snapshots_too_few_links"] += 1
         beacon.snapshot = None
         return
-    due = int(settings.snapshot_interval_s * 1e9)
-    if beacon.snapshot_ns is not None and time_ns - beacon.snapshot_ns < due:
+    each_s, any_s = settings.snapshot_interval_s, settings.snapshots_interval_s
+    last_ns = beacon.snapshot_ns
+    if last_ns is None and len(lively) * any_s > each_s:
+        # Many new beacons at once wait for their turns, too.
+        last_ns = beacon.first_heard_ns
+    if last_ns is not None and not _is_due(last_ns, time_ns, each_s, any_s, beacon, lively):
         return
     beacon.snapshot_ns = time_ns
     try:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -392,6 +393,35 @@ def test_updates_are_spaced() -> None:
         outputs = estimator.handle(tenth * SECOND // 10, TickInput())
         updates += sum(isinstance(output, TargetState) for output in outputs)
     assert updates == pytest.approx(3.0 / QUICK.update_interval_s, abs=1)
+
+
+def test_of_many_beacons_snapshots_and_regions_take_turns() -> None:
+    """Twelve beacons, 26 s: a snapshot each 6 s and regions each 4.8 s, spread evenly over all ticks."""
+    beacons = tuple(range(1, 13))
+    settings = replace(QUICK, snapshots_interval_s=0.5, all_regions_interval_s=0.4)
+    inputs = story(26, mark=0.9, beacons=beacons)
+    inputs += [(s * SECOND + t * SECOND // 10, TickInput()) for s in range(1, 27) for t in range(1, 10)]
+    outputs = play(Estimator(settings, MarkedCaptures()), sorted(inputs, key=lambda item: item[0]))
+    made: dict[int, set[int]] = {beacon: set() for beacon in beacons}
+    drawn: dict[int, list[int]] = {beacon: [] for beacon in beacons}
+    for output in outputs:
+        if isinstance(output, TargetState) and output.snapshot is not None:
+            made[output.beacon_id].add(output.snapshot.time_ns)
+        if isinstance(output, SearchMap):
+            drawn[output.beacon_id].append(output.time_ns)
+    for times in [sorted(times) for times in made.values()]:
+        # Those few that are there before the others have their first without a turn; beacons are updated
+        # once a second, and so late may a turn be taken.
+        assert all(abs(b - a - 6 * SECOND) <= 1.3 * SECOND for a, b in pairwise(times[1:]))
+        assert 3 <= len(times) <= 6
+    for first, *again in drawn.values():
+        # The first at once.
+        assert first <= 2 * SECOND
+        assert all(abs(b - a - 4.8 * SECOND) <= 1.3 * SECOND for a, b in pairwise(again[1:]))
+        assert len(again) >= 4
+    seconds = np.bincount([moment // SECOND for times in made.values() for moment in times])
+    assert seconds[:2].max() <= 5
+    assert seconds[2:].max() <= 4
 
 
 def test_many_beacons_take_turns() -> None:
