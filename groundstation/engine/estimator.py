@@ -55,7 +55,9 @@ EstimatorOutput = (
 
 _STATE_VERSION = 3
 _LIVELY_NS = 10_000_000_000
-"""A beacon updated within the last ten seconds counts among those that take turns."""
+"""A beacon updated within the last ten seconds counts among those that take turns; the others rest."""
+_AWAKE = 100
+"""Of more lively beacons none keeps the megabytes (up to eight each) that make its next update cheaper."""
 
 
 class Estimator:
@@ -251,6 +253,7 @@ class Estimator:
                         Event(time_ns, "target.update_failed", Severity.ERROR, text, None, beacon.beacon_id)
                     )
                 beacon.failed = True
+        self._rest(time_ns)
         why = due_explanation(self._believed(), time_ns, self._explained_ns, self._settings)
         if why is not None and why.belief is not None:
             self._explained_ns = time_ns
@@ -334,11 +337,23 @@ class Estimator:
         assert frame is not None
         others = self._joins.others(beacon.beacon_id)
         reference = self._ground.height_reference(belief.mass @ belief.mesh.center_enu_m)
-        oldest_ns = time_ns - _LIVELY_NS
-        lively = [b for b in self._believed() if b.updated_ns is not None and b.updated_ns > oldest_ns]
+        lively = self._lively(time_ns)
         return target_state(
             time_ns, beacon, belief, frame, reference, self._settings, self._tally, others, lively
         )
+
+    def _lively(self, time_ns: int) -> list[Beacon]:
+        """Beacons that are told of these days."""
+        oldest_ns = time_ns - _LIVELY_NS
+        return [b for b in self._believed() if b.updated_ns is not None and b.updated_ns > oldest_ns]
+
+    def _rest(self, time_ns: int) -> None:
+        """Beliefs that nothing comes for, or all of too many, keep no more than they must."""
+        lively = self._lively(time_ns)
+        awake = {beacon.beacon_id for beacon in lively} if len(lively) <= _AWAKE else set()
+        for beacon in self._believed():
+            if beacon.belief is not None and beacon.beacon_id not in awake:
+                beacon.belief.rest()
 
     def state(self) -> dict[str, Any]:
         """Everything but settings, classifier and mission; ``restore`` continues bit for bit.

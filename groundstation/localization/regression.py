@@ -17,22 +17,15 @@ from typing import Any
 import numpy as np
 
 from groundstation.localization.likelihood import ExponentGrid
-from groundstation.localization.problem import FloatArray, SignalModel
-from groundstation.localization.regressors import Mixer
+from groundstation.localization.problem import FloatArray
+from groundstation.localization.regression_solved import Solved, inverse_cholesky, log_density, log_sum
+from groundstation.localization.regressors import Mixer, Regressors
 from groundstation.localization.whitening import Observations, Whitened
 
 _BLOCK = 48_000
-"""Losses (windows × candidates) worked out at once: more does not stay in the processor's cache."""
+"""Regressors (rows × candidates) taken in at once."""
 _PAIR = ((0, 1, 3), (1, 2, 4), (3, 4, 5))
 """Where the product of two regressors (LOS, NLOS, null) stands in ``Evidence.path_path``."""
-_NODES = 5
-_MIDDLES = (np.arange(_NODES)[:, None] + 0.5).astype(np.float64)
-_REACH = 3.2
-"""Nodes over β_NLOS reach to so many standard deviations: 1.3 apart, where the midpoint rule errs by 1e-5."""
-_STEEP = 1.5
-_DOUBTS = 4.0
-"""β_NLOS is followed beyond its limits until its prior has fallen by e⁻⁴."""
-_LEAST_CURVE = 1e-9
 
 
 @dataclass(slots=True, eq=False)
@@ -112,28 +105,39 @@ class Evidence:
         """Take in whitened rows; ``candidates`` (C, 3) metres ENU. ``null``: whether antennas have one."""
         if not rows.rows.size:
             return
+        mixer = Mixer.of(observations, rows)
+        at_once = max(_BLOCK // rows.rows.size, 1)
+        self._add_levels(rows)
+        for start in range(0, self.candidates, at_once):
+            cells = slice(start, start + at_once)
+            self._add_losses(rows, mixer.regressors(candidates[cells], null), cells)
+
+    def add_regressors(self, rows: Whitened, regressors: Regressors) -> None:
+        """``add``, where somebody has worked out the rows' ``regressors`` at all candidates already."""
+        if rows.rows.size:
+            self._add_levels(rows)
+            self._add_losses(rows, regressors, slice(None))
+
+    def _add_levels(self, rows: Whitened) -> None:
         self.count += int(rows.rows.size)
         self.level_level += float(rows.level @ rows.level)
         self.level_loading += rows.loading.T @ rows.level
         self.loading_loading += rows.loading.T @ rows.loading
+
+    def _add_losses(self, rows: Whitened, regressors: Regressors, cells: slice) -> None:
         used: Any = np.flatnonzero(rows.loading.any(axis=0))
         part = np.concatenate([rows.level[None], rows.loading[:, used].T])
         # All at once needs no copy there and back.
         used = slice(None) if used.size == rows.loading.shape[1] else used
-        mixer = Mixer.of(observations, rows)
-        at_once = max(_BLOCK // mixer.place_enu_m.shape[0], 1)
-        for start in range(0, self.candidates, at_once):
-            cells = slice(start, start + at_once)
-            regressors = mixer.regressors(candidates[cells], null)
-            for number, one in enumerate(regressors):
-                if one is None:
-                    continue
-                along = part @ one
-                self.level_path[number, cells] += along[0]
-                self.loading_path[number, used, cells] += along[1:]
-                for other, two in enumerate(regressors[: number + 1]):
-                    if two is not None:
-                        self.path_path[_PAIR[other][number], cells] += np.einsum("rc,rc->c", two, one)
+        for number, one in enumerate(regressors):
+            if one is None:
+                continue
+            along = part @ one
+            self.level_path[number, cells] += along[0]
+            self.loading_path[number, used, cells] += along[1:]
+            for other, two in enumerate(regressors[: number + 1]):
+                if two is not None:
+                    self.path_path[_PAIR[other][number], cells] += np.einsum("rc,rc->c", two, one)
 
     @staticmethod
     def loss_rows(
@@ -162,10 +166,12 @@ class Evidence:
         arrays = {name: np.array(tree[name], dtype=np.float64) for name in _SUMS}
         return cls(**{**arrays, "level_level": float(tree["level_level"]), "count": int(tree["count"])})  # type: ignore[arg-type]
 
-    def _reduced(self, cells: Any = slice(None)) -> tuple[float, FloatArray, FloatArray]:
-        """The quadratic form's terms at ``cells`` with power and offsets integrated out."""
-        factor = np.linalg.cholesky(self.loading_loading)
-        inverse = np.linalg.inv(factor)
+    def _reduced(self, cells: Any = slice(None)) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """The quadratic form's terms at ``cells`` with power and offsets integrated out.
+
+        And what does that: the inverse of the Cholesky factor of ``loading_loading``.
+        """
+        inverse = inverse_cholesky(self.loading_loading)
         level = inverse @ self.level_loading
         cross, square = self.level_path[:, cells].copy(), self.path_path[:, cells].copy()
         # What is all zeros (no link in line of sight, no null) stays so.
@@ -175,7 +181,7 @@ class Evidence:
             cross[number] -= level @ loads[number]
             for other in used[: used.index(number) + 1]:
                 square[_PAIR[other][number]] -= np.einsum("vc,vc->c", loads[other], loads[number])
-        return self.level_level - float(level @ level), cross, square
+        return self.level_level - float(level @ level), cross, square, inverse
 
     def log_likelihood_on_grid(
         self, exponents: ExponentGrid, noise_degrees: float | None = None
@@ -184,12 +190,12 @@ class Evidence:
 
         Antennas without a null, limits of β_NLOS as they stand.
         """
-        constant, cross, square = self._reduced()
+        constant, cross, square, _ = self._reduced()
         los, nlos = exponents.los[:, None], exponents.nlos[:, None]
         form = constant + 2.0 * (los * cross[0] + nlos * cross[1])
         form += los**2 * square[0] + 2.0 * los * nlos * square[1] + nlos**2 * square[2]
-        score = exponents.log_prior[:, None] + _log_density(form, self.count, noise_degrees)
-        return _log_sum(score) + self._log_of_angles()
+        score = exponents.log_prior[:, None] + log_density(form, self.count, noise_degrees)
+        return log_sum(score) + self.log_of_angles()
 
     def log_likelihood(self, exponents: ExponentGrid, noise_degrees: float | None = None) -> FloatArray:
         """(C,) log likelihood of each candidate, up to a constant.
@@ -199,113 +205,29 @@ class Evidence:
         long flight knows it better than any fixed grid over 1.5 to 8.
 
         ``noise_degrees`` None: the model's noise level is right. Else it may be higher, see
-        ``_log_density``: residuals larger than expected widen the belief.
+        ``log_density``: residuals larger than expected widen the belief.
         """
-        prior = exponents.model
-        constant, slope, curve, log_spread, _ = self._of_nlos_exponent(prior, slice(None))
-        nodes, width = self._nlos_nodes(constant, slope, curve, prior, noise_degrees)
-        form = constant + nodes * (2.0 * slope + nodes * curve)
-        score = _log_density(form, self.count, noise_degrees)
-        if prior.nlos_exponent_doubt > 0.0:
-            score = score + _log_prior_of_nlos_exponent(nodes, prior)
-        return _log_sum(score) + np.log(width) - log_spread + self._log_of_angles()
+        return self.solved(exponents).log_likelihood(noise_degrees) + self.log_of_angles()
 
-    def _of_nlos_exponent(
-        self, prior: SignalModel, cells: Any
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Any]:
-        """The form at ``cells`` as a + 2 b β_NLOS + c β_NLOS², the Gaussian unknowns at their best.
+    def solved(self, exponents: ExponentGrid, cells: Any = slice(None)) -> Solved:
+        """The regression at ``cells``, its Gaussian unknowns at their best."""
+        constant, cross, square, whitener = self._reduced(cells)
+        return Solved.of(exponents.model, self.count, whitener, constant, np.concatenate([cross, square]))
 
-        Then half the log determinant that integrating these out costs, and what their means are:
-        (intercept, slope on β_NLOS) of β_LOS and of the null's order.
-        """
-        constant, cross, square = self._reduced(cells)
-        ll, ln, nn, lg, ng, gg = square
-        mean, std = (
-            (prior.los_exponent, prior.antenna_null_mean),
-            (
-                prior.los_exponent_std,
-                prior.antenna_null_std,
-            ),
-        )
-        a = constant + 2.0 * (mean[0] * cross[0] + mean[1] * cross[2])
-        a = a + mean[0] ** 2 * ll + 2.0 * mean[0] * mean[1] * lg + mean[1] ** 2 * gg
-        b = cross[1] + mean[0] * ln + mean[1] * ng
-        c = nn
-        # Each in prior standard deviations u: form + u² = … + 2 u (k₀ + k₁ β) + u² w.
-        first = std[0] * (cross[0] + mean[0] * ll + mean[1] * lg), std[0] * ln, 1.0 + std[0] ** 2 * ll
-        second = std[1] * (cross[2] + mean[0] * lg + mean[1] * gg), std[1] * ng, 1.0 + std[1] ** 2 * gg
-        both = std[0] * std[1] * lg
-        k0 = second[0] - both * first[0] / first[2]
-        k1 = second[1] - both * first[1] / first[2]
-        w = second[2] - both * both / first[2]
-        a = a - first[0] ** 2 / first[2] - k0 * k0 / w
-        b = b - first[0] * first[1] / first[2] - k0 * k1 / w
-        c = c - first[1] ** 2 / first[2] - k1 * k1 / w
-        u2 = -k0 / w, -k1 / w
-        u1 = -(first[0] + both * u2[0]) / first[2], -(first[1] + both * u2[1]) / first[2]
-        means = (
-            (mean[0] + std[0] * u1[0], std[0] * u1[1]),
-            (mean[1] + std[1] * u2[0], std[1] * u2[1]),
-        )
-        return a, b, np.maximum(c, _LEAST_CURVE), 0.5 * np.log(first[2] * w), means
-
-    def _nlos_nodes(
-        self,
-        constant: FloatArray,
-        slope: FloatArray,
-        curve: FloatArray,
-        prior: SignalModel,
-        noise_degrees: float | None,
-    ) -> tuple[FloatArray, FloatArray]:
-        """(M, C) midpoints over where β_NLOS is likely within its limits, and how far apart they are."""
-        beyond = math.exp(_DOUBTS * prior.nlos_exponent_doubt)
-        low, high = prior.nlos_exponent_min / beyond, prior.nlos_exponent_max * beyond
-        if high <= low:
-            return np.full((1, slope.size), low), np.ones(slope.size)
-        best = -slope / curve
-        variance = 1.0 / curve
-        if noise_degrees is not None:
-            least = np.maximum(constant + slope * best, self.count)
-            variance = variance * (noise_degrees + least) / (noise_degrees + self.count)
-        std = np.sqrt(variance)
-        inside = np.clip(best, low, high)
-        # Beyond a limit the likelihood falls off like an exponential from there.
-        reach = _REACH * std / np.maximum(np.abs(best - inside) / (_STEEP * std), 1.0)
-        first = np.maximum(inside - reach, low)
-        width = (np.minimum(inside + reach, high) - first) / _NODES
-        return first + width * _MIDDLES, width
-
-    def _log_of_angles(self) -> FloatArray:
+    def log_of_angles(self) -> FloatArray:
         """(C,); the nodes of π are equally likely."""
-        return _log_sum(self.angle_log) - math.log(self.angle_log.shape[0])
+        return log_sum(self.angle_log) - math.log(self.angle_log.shape[0])
 
     def means_at(self, candidate: int, exponents: ExponentGrid) -> tuple[float, float, float]:
         """Posterior mean of β_LOS, β_NLOS and the order of the antennas' null at one candidate."""
-        prior = exponents.model
-        constant, slope, curve, _, (los, null) = self._of_nlos_exponent(
-            prior, slice(candidate, candidate + 1)
-        )
-        nodes, _ = self._nlos_nodes(constant, slope, curve, prior, None)
-        score = _log_prior_of_nlos_exponent(nodes, prior) - 0.5 * nodes * (2.0 * slope + nodes * curve)
-        weight = np.exp(score - score.max())
-        mean = float((weight * nodes).sum() / weight.sum())
-        return float(los[0][0] + los[1][0] * mean), mean, float(null[0][0] + null[1][0] * mean)
+        return self.solved(exponents, slice(candidate, candidate + 1)).means_at(0)
 
     def orders_drawn(self, candidates: Any, exponents: ExponentGrid, uniform: FloatArray) -> FloatArray:
         """(3, n) β_LOS, β_NLOS and null's order drawn from their posterior at n candidates.
 
         ``uniform`` (2, n) in [0, 1). β_LOS and order are their means given β_NLOS.
         """
-        _, slope, curve, _, (los, null) = (parts := self._of_nlos_exponent(exponents.model, candidates))
-        nodes, width = self._nlos_nodes(parts[0], slope, curve, exponents.model, None)
-        score = -0.5 * nodes * (2.0 * slope + nodes * curve)
-        score += _log_prior_of_nlos_exponent(nodes, exponents.model)
-        reached = np.cumsum(np.exp(score - score.max(axis=0)), axis=0)
-        node = np.argmax(reached >= uniform[0] * reached[-1], axis=0)
-        nlos = nodes[node, np.arange(node.size)]
-        if len(nodes) > 1:
-            nlos = nlos + width * (uniform[1] - 0.5)
-        return np.stack([los[0] + los[1] * nlos, nlos, null[0] + null[1] * nlos])
+        return self.solved(exponents, candidates).orders_drawn(uniform)
 
     def nuisances_at(
         self, candidate: int, los_exponent: float, nlos_exponent: float, null: float = 0.0
@@ -318,40 +240,6 @@ class Evidence:
             + null * self.loading_path[2, :, candidate]
         )
         return np.asarray(np.linalg.solve(self.loading_loading, right), dtype=np.float64)
-
-
-def _log_density(form: FloatArray, count: int, noise_degrees: float | None) -> FloatArray:
-    """Log density of a quadratic form of ``count`` rows, up to a constant.
-
-    Gaussian where the noise is the model's (``noise_degrees`` None). Else the noise may be higher by a
-    factor s² ≥ 1, inverse-gamma with so many degrees of freedom, taken at its best value: Gaussian
-    up to the form to be expected, a Student-t's tail beyond. Never lower: residuals too small show that
-    shadowing is smoother than thought, not that there is less of it.
-    """
-    if noise_degrees is None:
-        return -0.5 * form
-    beyond = np.maximum(form - count, 0.0)
-    result: FloatArray = -0.5 * np.minimum(form, count) - 0.5 * (noise_degrees + count) * np.log1p(
-        beyond / (noise_degrees + count)
-    )
-    return result
-
-
-def _log_prior_of_nlos_exponent(exponent: FloatArray, prior: SignalModel) -> FloatArray:
-    """Log density, up to a constant: even within the limits, beyond them falling with ln β."""
-    if prior.nlos_exponent_doubt <= 0.0:
-        return np.zeros_like(exponent)
-    below = np.log(np.maximum(prior.nlos_exponent_min / exponent, 1.0))
-    above = np.log(np.maximum(exponent / prior.nlos_exponent_max, 1.0))
-    result: FloatArray = -(below + above) / prior.nlos_exponent_doubt
-    return result
-
-
-def _log_sum(score: FloatArray) -> FloatArray:
-    """Log of the sum of exponentials over the first axis."""
-    top = score.max(axis=0)
-    result: FloatArray = top + np.log(np.exp(score - top).sum(axis=0))
-    return result
 
 
 _SUMS = tuple(field.name for field in fields(Evidence))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from groundstation.localization.likelihood import (
     expected_excess_db,
@@ -97,74 +98,103 @@ class Whitened:
         return self if more <= 0 else replace(self, loading=np.pad(self.loading, ((0, 0), (0, more))))
 
 
-def _shadowing_covariance(
-    observations: Observations, a: Any, b: Any, correlation_m: float, model: SignalModel
+def _shadowing_among(
+    observations: Observations, groups: Any, correlation_m: float, model: SignalModel
 ) -> FloatArray:
-    """Covariance of shadowing between rows a and b (broadcast), dB². LOS and NLOS fields are independent."""
-    gap: FloatArray = np.zeros(np.broadcast_shapes(np.shape(a), np.shape(b)))
+    """(r, m, m) covariance of shadowing among the rows of each of ``groups`` (r, m), dB².
+
+    LOS and NLOS fields are independent.
+    """
+    gap = np.zeros((*groups.shape, groups.shape[1]))
     other = np.empty_like(gap)
-    # Axis by axis and in place: this is the most of what relating costs.
+    # Axis by axis and in place: this is the most of what whitening costs.
     for axis in observations.position_enu_m.T:
-        np.subtract(axis[a], axis[b], out=other)
+        each = axis[groups]
+        np.subtract(each[:, :, None], each[:, None, :], out=other)
         other *= other
         gap += other
     np.sqrt(gap, out=gap)
-    gap *= -1.0 / correlation_m
-    np.exp(gap, out=gap)
-    los = observations.los_probability * model.rss_std_db
-    nlos = (1.0 - observations.los_probability) * model.nlos_rss_std_db
-    np.multiply(los[a], los[b], out=other)
-    other += nlos[a] * nlos[b]
-    gap *= other
-    np.equal(observations.link[a], observations.link[b], out=other)
-    other *= 1.0 - model.shared_shadowing
-    other += model.shared_shadowing
-    gap *= other
-    return gap
+    los, nlos = _of_states(observations.los_probability[groups], model)
+    np.multiply(los[:, :, None], los[:, None, :], out=other)
+    other += nlos[:, :, None] * nlos[:, None, :]
+    link = observations.link[groups]
+    same = link[:, :, None] == link[:, None, :]
+    return _correlated(gap, other, same, correlation_m, model)
 
 
-def _shadowing_variance_db2(observations: Observations, model: SignalModel) -> FloatArray:
-    """(n,) of the shadowing that neighbours share: the diagonal of ``_shadowing_covariance``."""
-    p = observations.los_probability
+def _shadowing_with_all(
+    observations: Observations, rows: Any, columns: int, correlation_m: float, model: SignalModel
+) -> FloatArray:
+    """(r, columns) the same between ``rows`` (r,) and the first ``columns`` rows."""
+    place, link = observations.position_enu_m, observations.link
+    gap: FloatArray = cdist(place[rows], place[:columns])
+    los, nlos = _of_states(observations.los_probability, model)
+    variance = np.multiply.outer(los[rows], los[:columns])
+    variance += np.multiply.outer(nlos[rows], nlos[:columns])
+    same = link[rows, None] == link[:columns]
+    return _correlated(gap, variance, same, correlation_m, model)
+
+
+def _of_states(p: FloatArray, model: SignalModel) -> tuple[FloatArray, FloatArray]:
+    """Standard deviation of a row's shadowing as it enters by its link being LOS, and NLOS; dB."""
+    return p * model.rss_std_db, (1.0 - p) * model.nlos_rss_std_db
+
+
+def _correlated(
+    gap_m: FloatArray, variance_db2: FloatArray, same: Any, correlation_m: float, model: SignalModel
+) -> FloatArray:
+    """Covariances over gaps, which are overwritten; ``same``: of one vehicle."""
+    gap_m *= -1.0 / correlation_m
+    np.exp(gap_m, out=gap_m)
+    gap_m *= variance_db2
+    if model.shared_shadowing < 1.0:
+        gap_m *= np.where(same, 1.0, model.shared_shadowing)
+    return gap_m
+
+
+def _shadowing_variance_db2(p: FloatArray, model: SignalModel) -> FloatArray:
+    """Variance of the shadowing that neighbours share, of links LOS with probability p: the diagonal of
+    ``_shadowing_among``."""
     result: FloatArray = p**2 * model.rss_std_db**2 + (1.0 - p) ** 2 * model.nlos_rss_std_db**2
     return result
 
 
-def _nugget_db2(observations: Observations, model: SignalModel) -> FloatArray:
-    """(n,) variance that no other observation shares: noise, and not knowing the link's state."""
-    p = observations.los_probability
+def _nugget_db2(p: FloatArray, white_variance_db2: FloatArray, model: SignalModel) -> FloatArray:
+    """Variance that no other observation shares: noise, and not knowing the link's state."""
     total = p * model.rss_std_db**2 + (1.0 - p) * model.nlos_rss_std_db**2
     result: FloatArray = (
         total
-        - _shadowing_variance_db2(observations, model)
+        - _shadowing_variance_db2(p, model)
         + mixture_variance_db2(p, model, model.nlos_bias_max_db)
-        + observations.white_variance_db2
+        + white_variance_db2
     )
     return result
 
 
 def informative_parents(
     observations: Observations,
-    first: int,
+    rows: Any,
     usable: Any,
     count: int,
     correlation_m: float,
     model: SignalModel,
 ) -> Any:
-    """(n − first, count) parents of the rows from ``first`` on, −1 = none: whom to condition each on.
+    """(r, count) parents of ``rows`` (r,), which rise; −1 = none: whom to condition each on.
 
-    ``usable`` (n − first, n) bool: who may be a parent of whom. One by one the observation is taken
-    that lessens the variance of what is left most (a pivoted Cholesky factorisation of the most
+    ``usable`` (r, n) bool: who may be a parent of whom. One by one the observation is taken that
+    lessens the variance of what is left most (a pivoted Cholesky factorisation of the most
     alike): the nearest ones repeat each other, and of a second lap they miss the first.
     """
-    result = np.full((observations.count - first, count), -1, dtype=np.int64)
+    result = np.full((rows.size, count), -1, dtype=np.int64)
     if count == 0:
         return result
-    for start in range(first, observations.count, _AT_ONCE):
-        rows = np.arange(start, min(start + _AT_ONCE, observations.count))
+    for start in range(0, rows.size, _AT_ONCE):
+        some = rows[start : start + _AT_ONCE]
         # Parents are earlier rows: of the later ones nothing is needed.
-        some = usable[rows - first, : rows[-1] + 1]
-        result[rows - first] = _parents_of(observations, rows, some, count, correlation_m, model)
+        before = usable[start : start + _AT_ONCE, : some[-1] + 1]
+        result[start : start + _AT_ONCE] = _parents_of(
+            observations, some, before, count, correlation_m, model
+        )
     return result
 
 
@@ -173,38 +203,40 @@ def _parents_of(
 ) -> Any:
     """(r, count) ``informative_parents`` of ``rows`` (r,) among the first n, as far as ``usable`` (r, n)."""
     result = np.full((rows.size, count), -1, dtype=np.int64)
-    columns = np.arange(usable.shape[1])
-    pool = min(_POOL, columns.size)
-    alike = _shadowing_covariance(observations, rows[:, None], columns, correlation_m, model)
-    alike = np.where(usable, alike * (1.0 - _TIE * columns), 0.0)
+    columns = usable.shape[1]
+    pool = min(_POOL, columns)
+    alike = _shadowing_with_all(observations, rows, columns, correlation_m, model)
+    alike *= 1.0 - _TIE * np.arange(columns)
+    alike *= usable
     near = np.sort(np.argpartition(alike, -pool, axis=1)[:, -pool:], axis=1)
     toward = np.take_along_axis(alike, near, axis=1)
-    among = _shadowing_covariance(observations, near[:, :, None], near[:, None, :], correlation_m, model)
-    nugget = _nugget_db2(observations, model)
-    own = _shadowing_variance_db2(observations, model)
-    diagonal = np.arange(pool)
-    among[:, diagonal, diagonal] += nugget[near]
-    left = among[:, diagonal, diagonal].copy()
+    among = _shadowing_among(observations, near, correlation_m, model)
+    p = observations.los_probability
+    nugget = _nugget_db2(p, observations.white_variance_db2, model)
+    own = _shadowing_variance_db2(p, model)
+    left = np.einsum("rpp->rp", among)
+    left += nugget[near]
     free = toward > 0.0
     least = _LEAST_FORETOLD * (own + nugget)[rows]
-    every = np.arange(rows.size)
-    factors: list[FloatArray] = []
-    for column in range(min(count, pool)):
-        gain = np.where(free, toward * toward / np.maximum(left, 1e-9), 0.0)
-        chosen = gain.argmax(axis=1)
-        found = gain[every, chosen] > least
+    # Everything given those chosen so far; ``left``, its diagonal, changes with it.
+    first, wanted = pool * np.arange(rows.size), min(count, pool)
+    for column in range(wanted):
+        variance = np.maximum(left, 1e-9)
+        gain = toward * toward
+        gain /= variance
+        gain *= free
+        chosen = first + gain.argmax(axis=1)
+        found = gain.ravel()[chosen] > least
         if not found.any():
             break
-        result[found, column] = near[every, chosen][found]
-        free[every, chosen] = False
-        root = np.sqrt(np.maximum(left[every, chosen], 1e-9))
-        factor = among[every, chosen]
-        for before in factors:
-            factor = factor - before[every, chosen, None] * before
-        factor = factor / root[:, None]
-        toward = toward - factor * (toward[every, chosen] / root)[:, None]
-        left = left - factor * factor
-        factors.append(factor)
+        result[:, column] = np.where(found, near.ravel()[chosen], -1)
+        if column == wanted - 1:
+            break
+        free.ravel()[chosen] = False
+        row = among.reshape(-1, pool)[chosen]
+        share = row / variance.ravel()[chosen][:, None]
+        toward -= share * toward.ravel()[chosen][:, None]
+        among -= share[:, :, None] * row[:, None, :]
     return result
 
 
@@ -213,35 +245,43 @@ def whiten(
 ) -> Whitened:
     """Whiten the rows from ``first`` on: each minus its expectation given its parents, over its spread."""
     rows = np.arange(first, observations.count)
-    rows = rows[np.isfinite(observations.rss_dbm[rows])]
-    parents = observations.parents[rows]
-    present = parents >= 0
-    safe = np.where(present, parents, 0)
-    p = observations.los_probability
-    shadowing = _shadowing_variance_db2(observations, model)
-    nugget = _nugget_db2(observations, model)
-    among = _shadowing_covariance(observations, safe[:, :, None], safe[:, None, :], correlation_m, model) * (
-        present[:, :, None] & present[:, None, :]
+    return whiten_rows(
+        observations, rows[np.isfinite(observations.rss_dbm[rows])], links, correlation_m, model
     )
-    width = parents.shape[1]
-    diagonal = np.arange(width)
-    among[:, diagonal, diagonal] += np.where(present, nugget[safe], 1.0)
-    toward = _shadowing_covariance(observations, safe, rows[:, None], correlation_m, model) * present
+
+
+def whiten_rows(
+    observations: Observations, rows: Any, links: int, correlation_m: float, model: SignalModel
+) -> Whitened:
+    """``whiten`` of some ``rows`` (r,), all with power."""
+    parents = observations.parents[rows]
+    family = np.concatenate([rows[:, None], np.maximum(parents, 0)], axis=1)
+    # Each row, its parents; of all that is wanted only of these, never of all that is remembered.
+    present = np.concatenate([np.ones((rows.size, 1), dtype=bool), parents >= 0], axis=1)
+    p, link = observations.los_probability[family], observations.link[family]
+    shadowing = _shadowing_variance_db2(p, model)
+    nugget = _nugget_db2(p, observations.white_variance_db2[family], model)
+    every = _shadowing_among(observations, family, correlation_m, model)
+    every *= present[:, :, None] & present[:, None, :]
+    among, toward = every[:, 1:, 1:], every[:, 1:, 0]
+    diagonal = np.arange(parents.shape[1])
+    among[:, diagonal, diagonal] += np.where(present, nugget, 1.0)[:, 1:]
     weights = np.linalg.solve(among, toward[..., None])[..., 0] if rows.size else toward
-    variance = shadowing[rows] + nugget[rows] - np.einsum("rm,rm->r", weights, toward)
+    variance = shadowing[:, 0] + nugget[:, 0] - np.einsum("rm,rm->r", weights, toward)
     scale = np.sqrt(np.maximum(variance, 1e-6))
     mixing = np.concatenate([np.ones((rows.size, 1)), -weights], axis=1) / scale[:, None]
-    family = np.concatenate([rows[:, None], safe], axis=1)
     base = (
-        np.nan_to_num(observations.rss_dbm)
+        observations.rss_dbm[family]
         - model.receiver_offset_db
         - model.transmit_power_mean_dbm
         + expected_excess_db(p, model.nlos_bias_max_db)
     )
+    # Row 0 stands in for parents that are not there, with no weight.
+    base = np.where(present, base, 0.0)
     offset_std = np.sqrt(offset_variance_db2(p, model, model.nlos_bias_max_db))
     loading = np.zeros((rows.size, 1 + links))
     loading[:, 0] = model.transmit_power_std_db * mixing.sum(axis=1)
-    own_row = np.repeat(np.arange(rows.size)[:, None], family.shape[1], axis=1)
-    np.add.at(loading, (own_row, 1 + observations.link[family]), mixing * offset_std[family])
-    level = (mixing * base[family]).sum(axis=1)
+    own_row = np.arange(rows.size)[:, None]
+    np.add.at(loading, (own_row, 1 + link), mixing * offset_std)
+    level = (mixing * base).sum(axis=1)
     return Whitened(rows, mixing, level, loading, scale)

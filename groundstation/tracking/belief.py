@@ -20,12 +20,13 @@ import numpy as np
 
 from groundstation.localization.bearings import Bearings
 from groundstation.localization.likelihood import ExponentGrid
-from groundstation.localization.mesh import Mesh, MeshSettings, masses
+from groundstation.localization.mesh import IntArray, Mesh, MeshSettings, masses
 from groundstation.localization.problem import FloatArray, SearchArea, SignalModel
 from groundstation.localization.regression import Evidence
-from groundstation.localization.whitening import Observations, Whitened, whiten
+from groundstation.localization.regressors import Regressors
+from groundstation.localization.whitening import Observations, Whitened, whiten, whiten_rows
 from groundstation.tracking.candidates import Candidates
-from groundstation.tracking.history import History, TrackObservation
+from groundstation.tracking.history import History, TrackObservation, one_window_a_vehicle
 from groundstation.tracking.settings import TrackingSettings
 
 __all__ = ["Belief", "Field", "TrackObservation", "Update"]
@@ -67,7 +68,6 @@ class Belief:
             nlos_exponent_doubt=settings.nlos_exponent_doubt,
         )
         self._exponents = ExponentGrid.of(self._model)
-        self._has_null = self._model.has_antenna_null
         self._mesh_settings = MeshSettings(
             base_cells=settings.base_cells,
             maximum_cells=settings.maximum_cells,
@@ -79,6 +79,8 @@ class Belief:
         self._boxes = Candidates(self._model, self._exponents, settings.noise_degrees)
         self._fields: dict[str, Field] = {}
         self._field_log: FloatArray | None = None
+        self._held: tuple[FloatArray, FloatArray | None, FloatArray] | None = None
+        """Masses, and of which log likelihoods they are."""
         self._remesh_mass = settings.remesh_mass
         self._whole = True
         """Whether the sums are those of the remembered windows, none forgotten among them."""
@@ -101,7 +103,7 @@ class Belief:
     def mass(self) -> FloatArray:
         """(C,) share of the belief in each box."""
         self._renew_fields()
-        return masses(self._total(), self._boxes.mesh)
+        return self._masses().copy()
 
     @property
     def log_likelihood(self) -> FloatArray:
@@ -172,9 +174,7 @@ class Belief:
         """Posterior mean at the most likely place."""
         self._renew_fields()
         best = int(np.argmax(self._total()))
-        nuisance = self._boxes.evidence.nuisances_at(
-            best, *self._boxes.evidence.means_at(best, self._exponents)
-        )
+        nuisance = self._boxes.evidence.nuisances_at(best, *self._boxes.solved.means_at(best))
         return self._model.transmit_power_mean_dbm + self._model.transmit_power_std_db * float(nuisance[0])
 
     def set_area(self, area: SearchArea) -> None:
@@ -212,13 +212,21 @@ class Belief:
         told = self._boxes.log_likelihood
         return told if self._field_log is None else told + self._field_log
 
+    def _masses(self) -> FloatArray:
+        """(C,) share of the belief in each box, as fields and windows stand; to read."""
+        told, otherwise = self._boxes.log_likelihood, self._field_log
+        # Asked for several times between two updates.
+        if self._held is None or self._held[0] is not told or self._held[1] is not otherwise:
+            self._held = told, otherwise, masses(self._total(), self._boxes.mesh)
+        return self._held[2]
+
     def update(self, batch: list[TrackObservation]) -> Update:
         """Take in windows, in order. One call a tick costs less than one a window."""
         self._renew_fields()
         first = self.windows
         empty = outliers = offered = 0
-        whitened: list[Whitened] = []
-        for group in _one_window_a_vehicle(batch):
+        powers: list[tuple[Whitened, Regressors]] = []
+        for group in one_window_a_vehicle(batch):
             # A vehicle's next window is judged against this one: this one is judged first.
             found = [self._history.row(window) for window in group]
             rows = [row for row in found if row is not None]
@@ -228,21 +236,27 @@ class Belief:
             if rows and self._history.take(np.array(rows)):
                 count, judged = self._weigh_down_outliers(before)
                 outliers += count
-                whitened.append(judged)
+                powers.append(judged)
         taken = self.windows - first
         redundant = offered - taken
         if taken == 0:
             return Update(0, redundant, empty, 0, 0)
-        self._boxes.take(self._history.observations(), first, whitened, len(self._history.vehicles))
+        self._boxes.take(self._history.observations(), first, powers, len(self._history.vehicles))
         # What is forgotten stays in the sums until boxes have to be laid anew.
         forgotten = self._history.forget()
-        self._whole = self._whole and not forgotten
+        if forgotten.size:
+            self._whole = False
+            self._boxes.forget(forgotten)
         self._unwatched += taken
         if self._is_coarse() or self._found_again():
             self._rebuild(self._whole)
         else:
             self._let_go()
-        return Update(taken, redundant, empty, outliers, forgotten)
+        return Update(taken, redundant, empty, outliers, forgotten.size)
+
+    def rest(self) -> None:
+        """Nothing comes for a while: free the megabytes that only make the next update cheaper."""
+        self._boxes.rest()
 
     def absorb(self, other: Belief) -> None:
         """Take in all that another belief remembers: both were one phone. ``other`` stays as it is."""
@@ -254,37 +268,45 @@ class Belief:
         links = len(self._history.vehicles)
         return observations, whiten(observations, first, links, self._settings.correlation_m, self._model)
 
-    def _weigh_down_outliers(self, first: int) -> tuple[int, Whitened]:
-        """Widen what is implausible at every likely place (Huber's weight, once, on arrival)."""
-        self._boxes.evidence.grow(len(self._history.vehicles))
+    def _regressed(self, first: int) -> tuple[Whitened, Regressors]:
+        """The powers from row ``first`` on, and their regressors at the boxes."""
         observations, rows = self._whiten(first)
+        return rows, self._boxes.regressors(observations, rows)
+
+    def _weigh_down_outliers(self, first: int) -> tuple[int, tuple[Whitened, Regressors]]:
+        """Widen what is implausible at every likely place (Huber's weight, once, on arrival): how many, and
+        the powers then, as ``_regressed`` gives them."""
+        self._boxes.grow(len(self._history.vehicles))
+        powers = rows, regressors = self._regressed(first)
         if not rows.rows.size:
-            return 0, rows
-        mass = masses(self._total(), self._boxes.mesh)
+            return 0, powers
+        boxes = self._boxes
+        mass = self._masses()
         likely = np.flatnonzero(mass > 1e-3 * mass.max())
         likely = likely[np.argsort(-mass[likely], kind="stable")[:_JUDGES]]
-        best = int(np.argmax(mass))
-        orders = self._boxes.evidence.means_at(best, self._exponents)
-        places = self._boxes.mesh.center_enu_m[likely]
-        losses = Evidence.loss_rows(observations, rows, places, self._has_null)
-        right = self._boxes.evidence.level_loading[:, None].repeat(likely.size, axis=1)
-        for order, loading in zip(orders, self._boxes.evidence.loading_path, strict=True):
-            right += order * loading[:, likely]
-        precision = self._boxes.evidence.loading_loading
-        expected = rows.loading @ np.linalg.solve(precision, right)
-        residual = rows.level[:, None] - expected
-        for order, loss in zip(orders, losses, strict=True):
-            residual += order * loss
-        spread = np.einsum("rv,rv->r", rows.loading, np.linalg.solve(precision, rows.loading.T).T)
+        right = boxes.evidence.level_loading[:, None].repeat(likely.size, axis=1)
+        residual = rows.level[:, None].repeat(likely.size, axis=1)
         # Exponents are taken at the best place only: half a unit of doubt in them is allowed for.
-        doubt = 0.25 * losses[1] ** 2 + self._model.antenna_null_std**2 * losses[2] ** 2
-        score = (residual**2 / (1.0 + spread[:, None] + doubt)).min(axis=1)
-        excess = score / self._settings.outlier_std**2
+        variance = np.ones_like(residual)
+        orders = boxes.solved.means_at(int(np.argmax(mass)))
+        doubts = 0.0, 0.25, self._model.antenna_null_std**2
+        for number, (order, doubt, regressor) in enumerate(zip(orders, doubts, regressors, strict=True)):
+            right += order * boxes.evidence.loading_path[number].take(likely, axis=1)
+            if regressor is not None:
+                loss = regressor.take(likely, axis=1)
+                residual += order * loss
+                variance += doubt * loss**2
+        # What foretells power and offsets, and how well they are known.
+        whitener = boxes.solved.whitener
+        known = whitener @ rows.loading.T
+        residual -= known.T @ (whitener @ right)
+        variance += np.square(known).sum(axis=0)[:, None]
+        excess = (residual**2 / variance).min(axis=1) / self._settings.outlier_std**2
         strange = excess > 1.0
         if not strange.any():
-            return 0, rows
+            return 0, powers
         self._history.widen(rows.rows[strange], np.square(rows.scale[strange]) * (excess[strange] ** 2 - 1.0))
-        return int(strange.sum()), self._whiten(first)[1]
+        return int(strange.sum()), self._regressed(first)
 
     def _let_go(self) -> None:
         kept = self._boxes.let_go(self._total())
@@ -296,10 +318,18 @@ class Belief:
         if not self._boxes.gone.count or self._unwatched < self._settings.maximum_windows // 2:
             return False
         self._unwatched = 0
-        self._history.relate_again()
-        observations, rows = self._whiten(0)
         links = len(self._history.vehicles)
-        return self._boxes.found_again(self._total(), observations, rows, links, self.fields_at)
+        return self._boxes.found_again(self._total(), self.windows, self._remembered, links, self.fields_at)
+
+    def _remembered(self, some: IntArray) -> tuple[Observations, Whitened]:
+        """The windows remembered; of them ``some``, numbers that rise, related, and their powers whitened."""
+        if some.size == self.windows:
+            self._history.relate_again()
+            return self._whiten(0)
+        observations = self._history.related_some(some)
+        rows = some[np.isfinite(observations.rss_dbm[some])]
+        links = len(self._history.vehicles)
+        return observations, whiten_rows(observations, rows, links, self._settings.correlation_m, self._model)
 
     def _rebuild(self, reuse: bool = False) -> None:
         """Lay the boxes anew and weigh the whole history on them.
@@ -329,7 +359,7 @@ class Belief:
     def _heaviest(self) -> float:
         """Mass of the heaviest box that can be split."""
         splittable = self._boxes.mesh.half_m[:, 0] > 2.0 * self._settings.minimum_half_m
-        return float(np.where(splittable, masses(self._total(), self._boxes.mesh), 0.0).max())
+        return float(np.where(splittable, self._masses(), 0.0).max())
 
     def state(self) -> dict[str, Any]:
         """Everything but the fields, as arrays and plain values; ``restore`` continues bit for bit
@@ -358,16 +388,3 @@ class Belief:
         belief._whole = bool(tree["whole"])
         belief._unwatched = int(tree.get("unwatched", 0))
         return belief
-
-
-def _one_window_a_vehicle(batch: list[TrackObservation]) -> list[list[TrackObservation]]:
-    """The batch, in order, in groups that hold no vehicle twice."""
-    groups: list[list[TrackObservation]] = []
-    seen: set[int] = set()
-    for window in batch:
-        if not groups or window.vehicle_id in seen:
-            groups.append([])
-            seen = set()
-        groups[-1].append(window)
-        seen.add(window.vehicle_id)
-    return groups

@@ -23,6 +23,8 @@ from groundstation.localization.likelihood import ExponentGrid
 from groundstation.localization.mesh import IntArray, Mesh, MeshSettings, joined, refine
 from groundstation.localization.problem import BoolArray, FloatArray, SearchArea, SignalModel
 from groundstation.localization.regression import Evidence
+from groundstation.localization.regression_solved import Solved
+from groundstation.localization.regressors import Losses, Regressors
 from groundstation.localization.whitening import Observations, Whitened
 
 _NOTHING = 40.0
@@ -54,17 +56,50 @@ class Candidates:
         self.log_likelihood: FloatArray = np.zeros(0)
         """(C,) of all windows, up to a constant."""
         self._to_be_tried = False
+        self._solved: Solved | None = None
+        self._losses: Losses | None = None
 
-    def take(self, observations: Observations, first: int, whitened: list[Whitened], links: int) -> None:
-        """Take in the windows from row ``first`` on: ``whitened`` are their powers, in groups."""
-        before = self.evidence.count
-        for rows in whitened:
-            self.evidence.add(
-                observations, rows.of_links(links), self.mesh.center_enu_m, self._model.has_antenna_null
-            )
+    @property
+    def solved(self) -> Solved:
+        """The regression of ``evidence``."""
+        if self._solved is None:
+            self._solved = self.evidence.solved(self._exponents)
+        return self._solved
+
+    def regressors(self, observations: Observations, rows: Whitened) -> Regressors:
+        """Of ``rows`` of the windows remembered, at the boxes."""
+        if self._losses is None:
+            self._losses = Losses(self.mesh.center_enu_m, self._model.has_antenna_null)
+        self._losses.add(observations.position_enu_m[self._losses.count :])
+        return self._losses.regressors(observations, rows)
+
+    def forget(self, dropped: IntArray) -> None:
+        """The windows ``dropped`` are remembered no more; they stay in the sums."""
+        if self._losses is not None:
+            self._losses.forget(dropped)
+
+    def rest(self) -> None:
+        """Free what can be worked out again: losses are kept for the next windows only."""
+        self._losses = self._solved = None
+
+    def grow(self, links: int) -> None:
+        """Make room for vehicles not heard before."""
+        if links >= self.evidence.level_loading.size:
+            self.evidence.grow(links)
+            self._solved = None
         self.bearings.grow(links, self._model)
+
+    def take(
+        self, observations: Observations, first: int, powers: list[tuple[Whitened, Regressors]], links: int
+    ) -> None:
+        """Take in the windows from row ``first`` on: their ``powers``, in groups, with their regressors."""
+        before = self.evidence.count
+        self.grow(links)
+        for rows, regressors in powers:
+            self.evidence.add_regressors(rows.of_links(links), regressors)
         self.bearings.add(observations, first, self.mesh, self._model, self.evidence.angle_log)
-        self.log_likelihood = self._told(self.evidence)
+        self._solved = None
+        self.log_likelihood = self.solved.log_likelihood(self._noise_degrees) + self.evidence.log_of_angles()
         self._to_be_tried = before // _TRIED_EVERY != self.evidence.count // _TRIED_EVERY
 
     def lay(
@@ -84,30 +119,37 @@ class Candidates:
         """
         every = np.arange(observations.count)
         old = {key: number for number, key in enumerate(_keys(self.mesh))} if reuse else {}
-        parts: list[Evidence] = []
-        bearings: list[Bearings] = []
+        sums, errors = ([self.evidence], [self.bearings]) if old else ([], [])
+        # Of all boxes evaluated: where in ``sums`` they are, and what they are told, otherwise too.
+        slots: list[IntArray] = []
         told: list[FloatArray] = []
         told_otherwise: list[FloatArray] = []
 
         def evaluate(mesh: Mesh, _: IntArray) -> tuple[FloatArray, float]:
-            place = np.array([old.get(key, -1) for key in _keys(mesh)] if old else [-1] * mesh.count)
-            new = mesh.keep(np.flatnonzero(place < 0))
-            part, errors = self._weighed(observations, every, rows, links, new)
-            if new.count < mesh.count:
-                place[place < 0] = self.mesh.count + np.arange(new.count)
-                part = Evidence.gathered([self.evidence, part], place)
-                errors = Bearings.gathered([self.bearings, errors], place)
-            parts.append(part)
-            bearings.append(errors)
-            told.append(self._told(part))
+            slot, log = np.full(mesh.count, -1), np.empty(mesh.count)
+            if old:
+                slot[:] = [old.get(key, -1) for key in _keys(mesh)]
+                known = slot >= 0
+                log[known] = self.log_likelihood[slot[known]]
+            new = np.flatnonzero(slot < 0)
+            if new.size:
+                slot[new] = sum(part.candidates for part in sums) + np.arange(new.size)
+                evidence, bearings = self._weighed(observations, every, rows, links, mesh.keep(new))
+                sums.append(evidence)
+                errors.append(bearings)
+                log[new] = self._told(evidence)
+            slots.append(slot)
+            told.append(log)
             told_otherwise.append(fields_at(mesh))
-            return told[-1] + told_otherwise[-1], 1.0
+            return log + told_otherwise[-1], 1.0
 
         found = refine(area, evaluate, settings)
+        slot = np.concatenate(slots)[found.place]
         self.mesh, self.gone = found.mesh, _NO_BOX
         self.log_likelihood = np.concatenate(told)[found.place]
-        self.evidence = Evidence.gathered(parts, found.place)
-        self.bearings = Bearings.gathered(bearings, found.place)
+        self.evidence = Evidence.gathered(sums, slot)
+        self.bearings = Bearings.gathered(errors, slot)
+        self._solved = self._losses = None
         return np.concatenate(told_otherwise)[found.place]
 
     def let_go(self, total: FloatArray) -> IntArray | None:
@@ -130,28 +172,31 @@ class Candidates:
         self.evidence = Evidence.gathered([self.evidence], kept)
         self.bearings = Bearings.gathered([self.bearings], kept)
         self.log_likelihood = self.log_likelihood[kept]
+        self._solved = self._losses = None
         return kept
 
     def found_again(
         self,
         total: FloatArray,
-        observations: Observations,
-        rows: Whitened,
+        windows: int,
+        told: Callable[[IntArray], tuple[Observations, Whitened]],
         links: int,
         fields_at: Callable[[Mesh], FloatArray],
     ) -> bool:
-        """Whether a box that was let go may hold something by now; ``total`` as in ``let_go``."""
+        """Whether a box that was let go may hold something by now; ``total`` as in ``let_go``.
+
+        ``windows`` are remembered; ``told`` gives all, some of them related and their powers whitened.
+        """
         if not self.gone.count:
             return False
         best = self.mesh.keep(np.array([int(np.argmax(total))]))
-        every = np.arange(observations.count)
         likely = self.gone
         for stride in _STRIDES:
-            windows = every[::stride]
             mesh = joined([best, likely])
+            some = np.arange(0, windows, stride)
+            observations, powers = told(some)
             # Both by the windows remembered: the running sums hold forgotten ones too.
-            powers = rows.take(np.isin(rows.rows, windows, assume_unique=True))
-            score = self._told(self._weighed(observations, windows, powers, links, mesh)[0]) + fields_at(mesh)
+            score = self._told(self._weighed(observations, some, powers, links, mesh)[0]) + fields_at(mesh)
             likely = likely.keep(np.flatnonzero(score[1:] > score[0] - _SOMETHING))
             if not likely.count:
                 return False
@@ -173,6 +218,7 @@ class Candidates:
         self.gone = _mesh_of(tree, "gone_") if "gone_log_volume" in tree else _NO_BOX
         self.log_likelihood = np.array(tree["log_likelihood"], dtype=np.float64)
         self.evidence, self.bearings = Evidence.restore(tree), Bearings.restore(tree)
+        self._solved = self._losses = None
 
     def _weighed(
         self, observations: Observations, windows: Any, rows: Whitened, links: int, mesh: Mesh

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
+from groundstation.localization.mesh import IntArray
 from groundstation.localization.problem import FloatArray, SignalModel
 from groundstation.localization.whitening import Observations, informative_parents
 from groundstation.tracking.settings import TrackingSettings
@@ -84,39 +86,43 @@ class History:
         """(n, columns) the windows, as ``row`` gives them; to read."""
         return self._rows
 
-    def row(self, window: TrackObservation) -> FloatArray | None:
+    def row(self, window: TrackObservation) -> list[float] | None:
         """The window as numbers; None: it tells neither a power nor a usable bearing."""
-        has_rss = window.rss_dbm is not None and math.isfinite(window.rss_dbm)
-        has_angle = (
-            window.azimuth_rad is not None
-            and window.elevation_rad is not None
-            and math.isfinite(window.azimuth_rad)
-            and math.isfinite(window.elevation_rad)
-            and window.los_probability > 0.0
-        )
-        if not (has_rss or has_angle) or not all(map(math.isfinite, window.position_enu_m)):
+        nothing, rss_dbm = math.nan, window.rss_dbm
+        if rss_dbm is None or not math.isfinite(rss_dbm):
+            rss_dbm = nothing
+        azimuth_rad, elevation_rad = window.azimuth_rad, window.elevation_rad
+        if (
+            azimuth_rad is None
+            or elevation_rad is None
+            or not (math.isfinite(azimuth_rad) and math.isfinite(elevation_rad))
+            or not window.los_probability > 0.0
+        ):
+            azimuth_rad = elevation_rad = nothing
+        if math.isnan(rss_dbm) and math.isnan(azimuth_rad):
+            return None
+        if not all(map(math.isfinite, window.position_enu_m)):
             return None
         if window.vehicle_id not in self.vehicles:
             self.vehicles.append(window.vehicle_id)
             self.counts.append(Counts())
         probability = min(max(window.los_probability, 0.0), 1.0)
-        return np.array(
-            [
-                *window.position_enu_m,
-                self.vehicles.index(window.vehicle_id),
-                window.rss_dbm if has_rss else math.nan,
-                probability if window.classified else 0.0,
-                self._settings.sample_std_db**2 + (window.rss_std_error_db or 0.0) ** 2,
-                window.azimuth_rad if has_angle else math.nan,
-                window.elevation_rad if has_angle else math.nan,
-                max(window.azimuth_std_rad or 0.0, self._model.azimuth_std_rad),
-                max(window.elevation_std_rad or 0.0, self._model.elevation_std_rad),
-                1.0,
-                min(max(probability, 0.01), 0.99) if window.classified else 0.5,
-                window.time_s,
-                1.0,
-            ]
-        )
+        model = self._model
+        return [
+            *window.position_enu_m,
+            self.vehicles.index(window.vehicle_id),
+            rss_dbm,
+            probability if window.classified else 0.0,
+            self._settings.sample_std_db**2 + (window.rss_std_error_db or 0.0) ** 2,
+            azimuth_rad,
+            elevation_rad,
+            max(window.azimuth_std_rad or 0.0, model.azimuth_std_rad),
+            max(window.elevation_std_rad or 0.0, model.elevation_std_rad),
+            1.0,
+            min(max(probability, 0.01), 0.99) if window.classified else 0.5,
+            window.time_s,
+            1.0,
+        ]
 
     def take(self, rows: FloatArray) -> int:
         """Append rows (m, columns), each related to those before it; returns how many were new.
@@ -134,40 +140,44 @@ class History:
     def _relate(self, rows: FloatArray, refuse: bool) -> Any:
         settings, before, more = self._settings, self.count, rows.shape[0]
         rows = rows.copy()
-        every = np.concatenate([self._rows, rows])
-        gap2, apart = np.zeros((more, before + more)), np.empty((more, before + more))
-        for axis in range(3):
-            np.subtract(rows[:, axis, None], every[:, axis].copy(), out=apart)
-            apart *= apart
-            gap2 += apart
-        earlier = np.arange(before + more) < before + np.arange(more)[:, None]
-        of_same = (rows[:, _LINK, None] == every[:, _LINK]) & earlier
+        every, numbers = np.concatenate([self._rows, rows]), np.arange(before, before + more)
+        of_same, gap2 = _earlier_of_same(every, numbers)
         kept = np.ones(before + more, dtype=bool)
         if refuse:
             near = of_same & (gap2 < settings.place_radius_m**2)
             if near.sum(axis=1).max() >= settings.windows_per_place:
                 for number in range(more):
                     kept[before + number] = (near[number] & kept).sum() < settings.windows_per_place
-        usable = earlier & kept & np.isfinite(every[:, _RSS])
-        nobody = np.full((before + more, 0), -1, dtype=np.int64)
+        parents, rows[:, _FRESH], rows[:, _SHARP] = self._relations(every, numbers, kept, of_same, gap2)
+        place = np.cumsum(kept) - 1
+        parents = np.where(parents >= 0, place[parents], -1)
+        new = kept[before:]
+        self._rows = np.concatenate([self._rows, rows[new]])
+        self._parents = np.concatenate([self._parents, parents[new]])
+        return new
+
+    def _relations(self, every: FloatArray, numbers: Any, kept: Any, of_same: Any, gap2: Any) -> Any:
+        """Parents of the rows ``numbers`` of ``every`` among those ``kept``, and how fresh and sharp their
+        angles are; ``of_same`` and ``gap2`` as ``_earlier_of_same`` gives them."""
+        settings = self._settings
+        usable = np.arange(len(every)) < numbers[:, None]
+        usable &= kept & np.isfinite(every[:, _RSS])
+        nobody = np.full((len(every), 0), -1, dtype=np.int64)
         parents = informative_parents(
             observations_of(every, nobody),
-            before,
+            numbers,
             usable,
             settings.parents,
             settings.correlation_m,
             self._model,
         )
-        place = np.cumsum(kept) - 1
-        parents = np.where(parents >= 0, place[parents], -1)
         told = of_same & kept & np.isfinite(every[:, _AZ])
         gap = np.sqrt(np.where(told, gap2, np.inf).min(axis=1))
-        rows[:, _FRESH] = np.maximum(-np.expm1(-2.0 * gap / settings.correlation_m), _LEAST_FRESH)
-        rows[:, _SHARP] = np.maximum(-np.expm1(-2.0 * gap / settings.angle_correlation_m), _LEAST_FRESH)
-        new = kept[before:]
-        self._rows = np.concatenate([self._rows, rows[new]])
-        self._parents = np.concatenate([self._parents, parents[new]])
-        return new
+        fresh, sharp = (
+            np.maximum(-np.expm1(-2.0 * gap / reach_m), _LEAST_FRESH)
+            for reach_m in (settings.correlation_m, settings.angle_correlation_m)
+        )
+        return parents, fresh, sharp
 
     def observations(self) -> Observations:
         """All windows, as the likelihood wants them; after ``forget`` the older ones are related to none."""
@@ -178,13 +188,20 @@ class History:
         if self._stale:
             self._relate_all(self._rows)
 
-    def related(self) -> Observations:
-        """As after ``relate_again``, and nothing changes."""
+    def related_some(self, numbers: Any) -> Observations:
+        """As after ``relate_again`` in the windows ``numbers``, which rise, and nothing changes."""
         if not self._stale:
             return self.observations()
-        again = History(self._model, self._settings)
-        again._relate_all(self._rows)
-        return again.observations()
+        rows, parents = self._rows.copy(), self._parents.copy()
+        kept = np.ones(self.count, dtype=bool)
+        parents[numbers], rows[numbers, _FRESH], rows[numbers, _SHARP] = self._relations(
+            rows, numbers, kept, *_earlier_of_same(rows, numbers)
+        )
+        return observations_of(rows, parents)
+
+    def related(self) -> Observations:
+        """As after ``relate_again``, and nothing changes."""
+        return self.related_some(np.arange(self.count))
 
     def widen(self, rows: Any, variance_db2: FloatArray) -> None:
         """Outliers: add to the white variance of the powers of ``rows``."""
@@ -192,13 +209,13 @@ class History:
         for link in self._rows[rows, _LINK].astype(int).tolist():
             self.counts[link].outliers += 1
 
-    def forget(self) -> int:
-        """When it is full, drop every second window of each vehicle's older two thirds.
+    def forget(self) -> IntArray:
+        """When it is full, drop every second window of each vehicle's older two thirds; their numbers.
 
         Those left are related anew by ``relate_again``: it costs as much as ten updates.
         """
         if self.count <= self._settings.maximum_windows:
-            return 0
+            return np.zeros(0, dtype=np.int64)
         dropped = []
         for link in range(len(self.vehicles)):
             mine = np.flatnonzero(self._rows[:, _LINK] == link)
@@ -211,7 +228,7 @@ class History:
         self._rows = self._rows[keep]
         self._parents = np.full((self.count, self._settings.parents), -1, dtype=np.int64)
         self._stale = True
-        return int(drop.size)
+        return drop
 
     def absorb(self, other: History) -> int:
         """Take in another's windows in order of their times; returns how many were forgotten."""
@@ -230,11 +247,10 @@ class History:
             rows[:, _LINK] = np.array(where, dtype=np.float64)[rows[:, _LINK].astype(int)]
         rows = np.concatenate([self._rows, rows])
         self._relate_all(rows[np.argsort(rows[:, _TIME], kind="stable")])
-        forgotten = step = self.forget()
-        while step:
-            step = self.forget()
-            forgotten += step
-        return forgotten
+        before = self.count
+        while self.forget().size:
+            pass
+        return before - self.count
 
     def _relate_all(self, rows: FloatArray) -> None:
         """Make ``rows`` the whole history, each related to those before it."""
@@ -276,6 +292,28 @@ class History:
         self._rows, self._parents = rows, parents.reshape(count, self._settings.parents)
         self._stale = bool(tree.get("stale", False))
         return True
+
+
+def one_window_a_vehicle(batch: list[TrackObservation]) -> list[list[TrackObservation]]:
+    """The batch, in order, in groups that hold no vehicle twice."""
+    groups: list[list[TrackObservation]] = []
+    seen: set[int] = set()
+    for window in batch:
+        if not groups or window.vehicle_id in seen:
+            groups.append([])
+            seen = set()
+        groups[-1].append(window)
+        seen.add(window.vehicle_id)
+    return groups
+
+
+def _earlier_of_same(every: FloatArray, numbers: Any) -> tuple[Any, FloatArray]:
+    """(r, n) which rows of ``every`` are earlier ones of the vehicle of each of ``numbers``; and how far
+    apart all are, m²."""
+    gap2 = cdist(every[numbers, :3], every[:, :3], "sqeuclidean")
+    of_same = every[numbers, _LINK, None] == every[:, _LINK]
+    of_same &= np.arange(len(every)) < numbers[:, None]
+    return of_same, gap2
 
 
 def observations_of(rows: FloatArray, parents: Any) -> Observations:

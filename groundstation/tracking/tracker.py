@@ -126,6 +126,10 @@ class Tracker:
         self._mixture = None
         return told
 
+    def rest(self) -> None:
+        """Nothing comes for a while: free what only makes the next update cheaper. No number changes."""
+        self._still.rest()
+
     def _mixed(self) -> tuple[Mesh, FloatArray]:
         walking = self._walk.probability
         if walking < self._settings.walking_shown:

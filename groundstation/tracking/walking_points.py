@@ -43,8 +43,12 @@ class Points:
         return int(self.position_enu_m.shape[1])
 
     def take(self, chosen: Any) -> Points:
-        """The points that ``chosen`` selects."""
-        return Points(*(getattr(self, entry.name)[..., chosen] for entry in fields(self)))
+        """The points that ``chosen`` selects, by number."""
+        return Points(*(getattr(self, entry.name).take(chosen, axis=-1) for entry in fields(self)))
+
+    def part(self, which: slice) -> Points:
+        """Some that stand side by side; their arrays are these ones' still."""
+        return Points(*(getattr(self, entry.name)[..., which] for entry in fields(self)))
 
     def settled(self) -> Points:
         """Laid out in memory as ``restore`` lays it, so that sums go on bit for bit after a restart."""
@@ -86,7 +90,12 @@ class Points:
     @classmethod
     def restore(cls, tree: dict[str, Any]) -> Points:
         """The reverse."""
-        return cls(*(np.array(tree[entry.name], dtype=np.float64, order="C") for entry in fields(cls)))
+        parts = {entry.name: np.array(tree[entry.name], dtype=np.float64, order="C") for entry in fields(cls)}
+        for name in ("past_db", "bias_rad", "bias_rad2"):
+            if parts[name].ndim == 2:
+                # Of nobody, heard by nobody: as lists such arrays forget how deep they were.
+                parts[name] = np.zeros((2, 0, 0))
+        return cls(**parts)
 
 
 def losses_db(offset_m: FloatArray, null: bool) -> FloatArray:

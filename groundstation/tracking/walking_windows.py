@@ -197,8 +197,7 @@ def _told(window: TrackObservation) -> int:
 
 def newest(windows: Windows, links: int) -> Windows:
     """The newest window of each vehicle with power, or else with a bearing; in order of the vehicles."""
-    plain = windows.observations()
-    number = np.arange(windows.count) + windows.count * np.isfinite(plain.rss_dbm)
+    number = np.arange(windows.count) + windows.count * np.isfinite(windows.rows[:, RSS])
     best = np.full(links, -1, dtype=np.int64)
-    np.maximum.at(best, plain.link, number)
+    np.maximum.at(best, windows.rows[:, LINK].astype(np.int64), number)
     return windows.take(best[best >= 0] % windows.count)

@@ -25,7 +25,7 @@ from groundstation.domain.target import (
 )
 from groundstation.engine.estimator import Estimator
 from groundstation.engine.estimator_settings import EstimatorSettings
-from groundstation.tracking import TrackingSettings
+from groundstation.tracking import Tracker, TrackingSettings
 
 SECOND = 1_000_000_000
 ORIGIN = Geodetic(-35.3625, 149.1654, 584.0)
@@ -422,6 +422,24 @@ def test_of_many_beacons_snapshots_and_regions_take_turns() -> None:
     seconds = np.bincount([moment // SECOND for times in made.values() for moment in times])
     assert seconds[:2].max() <= 5
     assert seconds[2:].max() <= 4
+
+
+def test_beliefs_that_nothing_comes_for_keep_no_more_than_they_must(monkeypatch: pytest.MonkeyPatch) -> None:
+    rested: list[int] = []
+    plain = Tracker.rest
+    monkeypatch.setattr(Tracker, "rest", lambda self: (rested.append(id(self)), plain(self))[1])
+    estimator = Estimator(QUICK, MarkedCaptures())
+    play(estimator, story(4, beacons=(7, 8)))
+    assert not rested
+    # Eight goes on, seven is silent.
+    rng = np.random.default_rng(1)
+    for second in range(5, 17):
+        play(estimator, [(second * SECOND, window(1, second, rng, beacon=8))])
+        play(estimator, [(second * SECOND + 1, TickInput())])
+        assert len(set(rested)) == (second >= 14)
+    monkeypatch.setattr("groundstation.engine.estimator._AWAKE", 0)
+    play(estimator, [(17 * SECOND, TickInput())])
+    assert len(set(rested)) == 2
 
 
 def test_many_beacons_take_turns() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from groundstation.localization import SignalModel, whitening
-from groundstation.localization.whitening import Observations, informative_parents, whiten
+from groundstation.localization.whitening import Observations, informative_parents, whiten, whiten_rows
 
 MODEL = SignalModel(nlos_rss_std_db=5.0, shared_shadowing=0.5)
 CORRELATION_M = 25.0
@@ -56,7 +56,7 @@ def earlier(count: int) -> np.ndarray:
 
 def chosen(seen: Observations, count: int, usable: np.ndarray | None = None) -> np.ndarray:
     usable = earlier(seen.count) if usable is None else usable
-    return np.asarray(informative_parents(seen, 0, usable, count, CORRELATION_M, MODEL))
+    return np.asarray(informative_parents(seen, np.arange(seen.count), usable, count, CORRELATION_M, MODEL))
 
 
 def test_each_parent_is_the_one_that_lessens_the_variance_most() -> None:
@@ -110,14 +110,14 @@ def test_how_many_rows_are_related_at_once_does_not_matter(monkeypatch: pytest.M
         parents.append(chosen(seen, 4))
     assert (parents[0] == parents[1]).all()
     assert (parents[0] == parents[2]).all()
-    some = informative_parents(seen, 150, earlier(170)[150:], 4, CORRELATION_M, MODEL)
+    some = informative_parents(seen, np.arange(150, 170), earlier(170)[150:], 4, CORRELATION_M, MODEL)
     assert (some == parents[0][150:]).all()
 
 
 def test_vehicles_with_fields_of_their_own_are_no_parents() -> None:
     seen = laps(20, links=2)
     alone = replace(MODEL, shared_shadowing=0.0)
-    parents = np.asarray(informative_parents(seen, 0, earlier(20), 4, CORRELATION_M, alone))
+    parents = np.asarray(informative_parents(seen, np.arange(20), earlier(20), 4, CORRELATION_M, alone))
     told = parents >= 0
     assert told.any()
     assert (seen.link[np.where(told, parents, 0)] == seen.link[:, None])[told].all()
@@ -134,3 +134,26 @@ def test_what_is_left_is_white() -> None:
     family = np.concatenate([rows.rows[:, None], np.maximum(seen.parents[rows.rows], 0)], axis=1)
     white = np.einsum("rm,rmd->rd", rows.mixing, draws[family])
     np.testing.assert_allclose(np.cov(white), np.eye(24), atol=0.08)
+
+
+def test_a_window_without_power_stands_in_for_nobody() -> None:
+    seen = laps(6)
+    seen.rss_dbm[0] = np.nan
+    seen = replace(seen, parents=np.array([[-1, -1], [-1, -1], [1, -1], [2, 1], [-1, -1], [4, -1]]))
+    rows = whiten(seen, 0, 1, CORRELATION_M, MODEL)
+    assert rows.rows.tolist() == [1, 2, 3, 4, 5]
+    assert np.isfinite(rows.level).all()
+    # Of a row that is related to nobody only its own spread is left.
+    alone = whiten(seen.take(np.array([1, 4])), 0, 1, CORRELATION_M, MODEL)
+    np.testing.assert_allclose(alone.level, rows.level[[0, 3]])
+    np.testing.assert_allclose(alone.loading, rows.loading[[0, 3]])
+
+
+def test_some_rows_are_whitened_as_all_are() -> None:
+    seen = laps(30, links=2)
+    seen = replace(seen, parents=chosen(seen, 4))
+    every, some = whiten(seen, 0, 2, CORRELATION_M, MODEL), np.arange(2, 30, 5)
+    for name in ("rows", "mixing", "level", "loading", "scale"):
+        np.testing.assert_allclose(
+            getattr(whiten_rows(seen, some, 2, CORRELATION_M, MODEL), name), getattr(every, name)[some]
+        )

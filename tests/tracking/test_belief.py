@@ -287,3 +287,44 @@ def test_restored_belief_with_fields_continues_bit_for_bit(fly) -> None:
         again.update(windows)
         assert (whole.mass == again.mass).all()
     assert whole.mass[whole.mesh.center_enu_m[:, 1] > 5.0].sum() < 1e-6
+
+
+def test_a_belief_that_rested_goes_on_bit_for_bit(fly) -> None:
+    flight = fly(np.random.default_rng(8), (1, 0, 0, 0), 30)
+    awake, rested = (Belief(flight.area, SERVICE_MODEL, TrackingSettings()) for _ in range(2))
+    for second, windows in enumerate(flight.seconds):
+        if second % 7 == 3:
+            rested.rest()
+        awake.update(windows)
+        rested.update(windows)
+        np.testing.assert_array_equal(rested.mass, awake.mass)
+
+
+def test_masses_follow_fields_and_windows_and_are_nobodys_to_change(fly) -> None:
+    flight = fly(np.random.default_rng(7), (0, 0, 0, 0), 6)
+    belief = Belief(flight.area, PAPER, SETTINGS)
+    before = belief.mass
+    belief.update(flight.seconds[0])
+    after = belief.mass
+    assert before.shape != after.shape or (before != after).any()
+    after[:] = 0.0
+    assert belief.mass.sum() == pytest.approx(1.0)
+    plain = belief.mass
+    belief.set_field("east", lambda center, half: 0.05 * center[:, 0])
+    assert (belief.mass @ belief.mesh.center_enu_m)[0] > (plain @ belief.mesh.center_enu_m)[0] + 1.0
+    belief.set_field("east", None)
+    np.testing.assert_allclose(belief.mass, plain, rtol=1e-12)
+
+
+def test_a_level_of_which_nothing_is_known_yet_is_no_outlier() -> None:
+    """The phone may send with any power: how well it is known counts, at each of the first windows."""
+    belief = Belief(SearchArea(np.zeros(2), 100.0, 1.0, 20.0), SERVICE_MODEL, TrackingSettings())
+
+    def heard(vehicle: int, rss_dbm: float) -> TrackObservation:
+        place = (60.0 * math.cos(vehicle), 60.0 * math.sin(vehicle), 50.0)
+        return TrackObservation(vehicle, place, rss_dbm, None, None, None, None, None, 0.0)
+
+    assert belief.update([heard(1, 20.0)]).outliers == 0
+    assert belief.update([heard(2, 20.0), heard(3, 17.0)]).outliers == 0
+    # By then it is known.
+    assert belief.update([heard(4, -80.0)]).outliers == 1

@@ -10,7 +10,8 @@ import pytest
 from groundstation.localization import SearchArea, SignalModel
 from groundstation.localization.likelihood import ExponentGrid
 from groundstation.localization.mesh import MeshSettings, moments
-from groundstation.localization.whitening import Observations, whiten
+from groundstation.localization.regressors import Mixer
+from groundstation.localization.whitening import whiten
 from groundstation.tracking import Belief, TrackingSettings, TrackObservation, candidates
 from groundstation.tracking.history import observations_of
 
@@ -173,20 +174,18 @@ def test_after_forgetting_boxes_are_laid_and_looked_at_by_windows_related_anew(
     fly, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Windows that had been related to forgotten ones, and now to none, would be told apart twice as sure."""
-    related = []
+    related: list[bool] = []
+    looks: list[int] = []
+    weighed = candidates.Candidates._weighed
 
-    def watched(asked):
-        def watch(self, *given):
-            (observations,) = (part for part in given if isinstance(part, Observations))
-            # The first of a vehicle have nobody, and the oldest are thinned until nobody is near enough.
-            newer = observations.parents[4 + observations.count // 2 :]
-            related.append((newer >= 0).any(axis=1).all())
-            return asked(self, *given)
+    def watched(self, observations, windows, *given):
+        # The first of a vehicle have nobody, and the oldest are thinned until nobody is near enough.
+        newer = observations.parents[windows[windows >= 4 + observations.count // 2]]
+        related.append(bool((newer >= 0).any(axis=1).all()))
+        looks.append(windows.size < observations.count)
+        return weighed(self, observations, windows, *given)
 
-        return watch
-
-    for name in ("lay", "found_again"):
-        monkeypatch.setattr(candidates.Candidates, name, watched(getattr(candidates.Candidates, name)))
+    monkeypatch.setattr(candidates.Candidates, "_weighed", watched)
     flight = fly(np.random.default_rng(7), (1, 1, 1, 1), 110)
     belief = Belief(flight.area, PAPER, replace(SETTINGS, maximum_windows=200))
     forgotten = 0
@@ -196,5 +195,75 @@ def test_after_forgetting_boxes_are_laid_and_looked_at_by_windows_related_anew(
         assert all(related[asked:])
     assert forgotten > 0
     assert len(related) > 4
+    # At some it is enough to look at a few windows, and no others are related for it.
+    assert any(looks)
     belief.set_area(flight.area)
     assert all(related)
+
+
+def test_what_is_kept_beside_the_sums_is_theirs(fly, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through letting go, forgetting, laying anew and a new vehicle: losses and the regression solved."""
+    met: set[str] = set()
+    regressors = candidates.Candidates.regressors
+
+    def checked(self, observations, rows):
+        given = regressors(self, observations, rows)
+        assert self._losses.count == observations.count
+        anew = Mixer.of(observations, rows).regressors(self.mesh.center_enu_m, False)
+        for one, other in zip(given, anew, strict=True):
+            assert (one is None) == (other is None)
+            if one is not None:
+                np.testing.assert_allclose(one, other, atol=1e-4)
+        now, kept = self.evidence.solved(belief.exponents), self.solved
+        for name in ("constant", "slope", "curve"):
+            np.testing.assert_allclose(getattr(kept, name), getattr(now, name), rtol=1e-9)
+        assert kept.whitener.shape == (1 + len(belief.vehicles),) * 2
+        return given
+
+    monkeypatch.setattr(candidates.Candidates, "regressors", checked)
+    for name in ("lay", "forget"):
+        plain = getattr(candidates.Candidates, name)
+        monkeypatch.setattr(
+            candidates.Candidates, name, lambda *given, n=name, p=plain: (met.add(n), p(*given))[1]
+        )
+    flight = fly(np.random.default_rng(7), (1, 1, 1, 1), 90)
+    belief = Belief(flight.area, PAPER, replace(SETTINGS, maximum_windows=200))
+    met.clear()
+    for second, windows in enumerate(flight.seconds):
+        # The fourth vehicle comes late.
+        belief.update(windows if second > 20 else windows[:3])
+    assert met == {"lay", "forget"}
+    assert belief.gone.count > 0
+
+
+def test_windows_without_power_go_into_the_bearings_alone(fly) -> None:
+    flight = fly(np.random.default_rng(7), (1, 1, 1, 1), 12)
+    belief = Belief(flight.area, PAPER, SETTINGS)
+    for windows in flight.seconds:
+        belief.update([replace(window, rss_dbm=None) for window in windows])
+    assert belief.evidence.count == 0
+    found = belief.mass @ belief.mesh.center_enu_m
+    assert np.hypot(*(found - flight.truth_enu_m)[:2]) < 10.0
+
+
+def test_what_a_look_leaves_likely_more_windows_are_asked_of(fly) -> None:
+    flight = fly(np.random.default_rng(7), (1, 1, 1, 1), 50)
+    belief = Belief(flight.area, PAPER, SETTINGS)
+    for windows in flight.seconds:
+        belief.update(windows)
+    asked: list[int] = []
+
+    def told(some):
+        asked.append(some.size)
+        return belief._remembered(some)
+
+    def found(field) -> bool:
+        asked.clear()
+        return belief._boxes.found_again(belief.log_likelihood, belief.windows, told, 4, field)
+
+    nothing = found(lambda mesh: np.zeros(mesh.count))
+    assert (nothing, asked) == (False, [-(-belief.windows // 13)])
+    # Where something else makes all that were let go likely, every window is asked.
+    high = belief.gone.center_enu_m[:, 2].size * [1e6]
+    assert found(lambda mesh: np.array([0.0, *high[: mesh.count - 1]]))
+    assert asked == [-(-belief.windows // stride) for stride in (13, 3, 1)]

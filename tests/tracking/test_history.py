@@ -82,10 +82,13 @@ def test_windows_without_content_are_refused() -> None:
 def test_forgetting_keeps_the_newest_and_every_vehicle() -> None:
     settings = replace(SETTINGS, maximum_windows=40)
     made = history(*(window(1 + i % 2, 9.0 * i, time_s=float(i)) for i in range(44)), settings=settings)
-    assert made.forget() == 44 - made.count
+    before = made.observations().position_enu_m
+    dropped = made.forget()
+    assert dropped.size == 44 - made.count
+    np.testing.assert_array_equal(np.delete(before, dropped, axis=0), made.observations().position_enu_m)
     seen = made.observations()
     assert made.count <= 40
-    assert made.forget() == 0
+    assert made.forget().size == 0
     assert (seen.position_enu_m[-12:, 0] == 9.0 * np.arange(32, 44)).all()
     assert set(seen.link.tolist()) == {0, 1}
     assert (seen.parents < np.arange(made.count)[:, None]).all()
@@ -112,6 +115,23 @@ def test_after_forgetting_windows_are_related_again_when_asked() -> None:
         one.relate_again()
         np.testing.assert_array_equal(one.observations().parents, fresh.observations().parents)
         np.testing.assert_array_equal(one.observations().angle_weight, fresh.observations().angle_weight)
+
+
+def test_some_windows_are_related_as_all_are() -> None:
+    settings = replace(SETTINGS, maximum_windows=40)
+    made = history(*(window(1 + i % 2, 7.0 * i, time_s=float(i)) for i in range(44)), settings=settings)
+    made.forget()
+    some = np.arange(0, made.count, 3)
+    kept = made.state()
+    found, all_of_them = made.related_some(some), made.related()
+    assert (found.parents[some] >= 0).any()
+    for name in ("parents", "angle_weight", "angle_std_rad"):
+        np.testing.assert_array_equal(getattr(found, name)[some], getattr(all_of_them, name)[some], name)
+    # The others are as they were, and nothing changes.
+    others = np.delete(np.arange(made.count), some)
+    assert (found.parents[others] == -1).all()
+    for name, value in made.state().items():
+        np.testing.assert_array_equal(np.asarray(value), np.asarray(kept[name]), name)
 
 
 def test_absorbing_is_hearing_both_in_order_of_time() -> None:

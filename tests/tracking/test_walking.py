@@ -127,7 +127,9 @@ def test_power_foretold_window_by_window_is_the_likelihood_of_all(monkeypatch: p
     for first in range(2, len(flights), 2):
         new = Windows.of(flights[first : first + 2], numbers)
         rows = related(walk._past, new, 2, 0.0, model, settings)
-        scored = walk._scored(points, covariance, rows, 0.0)
+        points, angles = walk._bearings_met(points, rows, np.zeros(2))
+        points, loss = walk._losses_met(points, rows, np.zeros(2))
+        scored = walk._scored(points, loss, angles, covariance, rows)
         total += scored.log_density
         points, covariance = scored.points, scored.covariance
         walk._past = newest(walk._past.then(new), 2)
@@ -220,3 +222,37 @@ def test_a_window_without_power_does_not_hide_the_newest_with() -> None:
     bearing = TrackObservation(1, (9.0, 0.0, 50.0), None, None, 0.3, -0.5, None, None, 0.9, True, 3.0)
     past = newest(Windows.of([heard(1, 0, 0, -40, 1.0), bearing], numbers), 1)
     assert past.time_s.tolist() == [1.0]
+
+
+def test_bearings_are_met_once_though_an_outlier_is_weighed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    belief = Belief(AREA, PAPER, SETTINGS)
+    walk = Walk(AREA, belief.model, SETTINGS, 1)
+    told = flight(8)
+    # One level that neither a walker nor anybody who stands can explain.
+    told[-1][1] = replace(told[-1][1], rss_dbm=40.0)
+    met, weighed = [], []
+    bearings, scored = Walk._bearings_met, Walk._scored
+    monkeypatch.setattr(Walk, "_bearings_met", lambda *given: (met.append(1), bearings(*given))[1])
+    monkeypatch.setattr(Walk, "_scored", lambda *given: (weighed.append(1), scored(*given))[1])
+    for windows in told:
+        belief.update(windows)
+        met.clear()
+        weighed.clear()
+        walk.step(windows, belief)
+    assert len(met) == 1
+    assert len(weighed) == 4
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 8])
+def test_medians_are_medians(count: int) -> None:
+    values = np.random.default_rng(3).normal(size=(4, count))
+    np.testing.assert_array_equal(walking._medians(values), np.median(values, axis=1))
+
+
+def test_nobody_comes_back_from_lists_and_can_be_joined() -> None:
+    nobody = Points.none(0, PAPER)
+    again = Points.restore({name: value.tolist() for name, value in nobody.state().items()})
+    for name, value in nobody.state().items():
+        assert again.state()[name].shape == value.shape, name
+    both = Points.joined(again.grown(3, PAPER), Points.none(3, PAPER))
+    assert both.bias_rad2.shape == (2, 3, 0)
