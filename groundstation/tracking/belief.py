@@ -36,6 +36,8 @@ Field = Callable[[FloatArray, FloatArray], FloatArray]
 
 _DEAR = 2.0
 """A box may hold so many times as much before boxes are laid anew where that means weighing all windows."""
+_OF_PLACES = 0.25
+"""Half the width of the smallest box, in the standard deviation of the vehicles' told places."""
 _JUDGES = 64
 """Most likely places at which a power is judged."""
 
@@ -72,7 +74,8 @@ class Belief:
             base_cells=settings.base_cells,
             maximum_cells=settings.maximum_cells,
             split_mass=settings.split_mass,
-            minimum_half_m=settings.minimum_half_m,
+            # Finer than the vehicles know where they are nothing is to be told.
+            minimum_half_m=max(settings.minimum_half_m, _OF_PLACES * model.vehicle_position_std_m),
         )
         self._area = area
         self._history = History(self._model, settings)
@@ -358,7 +361,7 @@ class Belief:
 
     def _heaviest(self) -> float:
         """Mass of the heaviest box that can be split."""
-        splittable = self._boxes.mesh.half_m[:, 0] > 2.0 * self._settings.minimum_half_m
+        splittable = self._boxes.mesh.half_m[:, 0] > 2.0 * self._mesh_settings.minimum_half_m
         return float(np.where(splittable, self._masses(), 0.0).max())
 
     def state(self) -> dict[str, Any]:

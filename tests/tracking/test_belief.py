@@ -289,6 +289,18 @@ def test_restored_belief_with_fields_continues_bit_for_bit(fly) -> None:
     assert whole.mass[whole.mesh.center_enu_m[:, 1] > 5.0].sum() < 1e-6
 
 
+def test_no_box_is_finer_than_the_vehicles_know_where_they_are(fly) -> None:
+    """Four lines of sight, 20 s: the boxes get as small as they may, and no smaller."""
+    flight = fly(np.random.default_rng(8), (1, 1, 1, 1), 20)
+    smallest = {}
+    for std_m in (0.0, 1.0):
+        belief = Belief(flight.area, replace(PAPER, vehicle_position_std_m=std_m), SETTINGS)
+        for windows in flight.seconds:
+            belief.update(windows)
+        smallest[std_m] = float(belief.mesh.half_m[:, 0].min())
+    assert SETTINGS.minimum_half_m <= smallest[0.0] < 0.25 <= smallest[1.0] < 0.6
+
+
 def test_a_belief_that_rested_goes_on_bit_for_bit(fly) -> None:
     flight = fly(np.random.default_rng(8), (1, 0, 0, 0), 30)
     awake, rested = (Belief(flight.area, SERVICE_MODEL, TrackingSettings()) for _ in range(2))
