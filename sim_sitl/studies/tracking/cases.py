@@ -148,6 +148,7 @@ def _misplaced(key: str, title: str, world: World, shape: Shape) -> Case:
     return replace(
         _flight(key, title, replace(world, place_error_m=PLACE_ERROR_M), shape, ("tracker", "centre")),
         name=f"{key}-misplaced" + ("" if shape is Shape.ORBIT else f"-{shape.value}"),
+        title=f"{title}, {_PATHS[shape]}, vehicles' places off by {PLACE_ERROR_M:g} m",
         section="places",
         note=f"Off by {PLACE_ERROR_M:g} m on each horizontal axis and twice that in height, for minutes, half"
         " of it (in variance) alike for all vehicles. Told as what it is.",
