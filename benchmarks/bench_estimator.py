@@ -10,16 +10,13 @@ the thread; the first second, in which all beacons are new at once, is told apar
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
-from bench_tracking import windows
-from reporting import environment, give
+from bench_tracking import run_both, windows
 
 from groundstation.domain.geometry import Geodetic, LocalFrame
 from groundstation.domain.inputs import MissionInput, TickInput
@@ -97,29 +94,5 @@ def measured(seed: int, los: bool, vehicles: int, beacons: int, seconds: int) ->
     }
 
 
-def main() -> None:
-    """Run both and write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--vehicles", type=int, default=20)
-    parser.add_argument("--beacons", type=int, default=50)
-    parser.add_argument("--seconds", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
-    if options.seconds <= SETTLED_S:
-        parser.error(f"--seconds is {options.seconds}; more than {SETTLED_S} are needed")
-    asked = (options.vehicles, options.beacons, options.seconds)
-    report: dict[str, Any] = {
-        "environment": environment("numpy", "scipy", "shapely"),
-        "seed": options.seed,
-        "vehicles": options.vehicles,
-        "beacons": options.beacons,
-        "seconds": options.seconds,
-        "line of sight": measured(options.seed, True, *asked),
-        "obstructed": measured(options.seed, False, *asked),
-    }
-    give(report, options.out)
-
-
 if __name__ == "__main__":
-    main()
+    run_both(measured, __doc__, beacons=50, seconds=20, least_seconds=SETTLED_S + 1)

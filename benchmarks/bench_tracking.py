@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -84,18 +85,26 @@ def measured(seed: int, los: bool, vehicles: int, beacons: int, seconds: int) ->
     }
 
 
-def main() -> None:
-    """Run all and write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def run_both(
+    measured: Callable[[int, bool, int, int, int], dict[str, Any]],
+    description: str | None,
+    beacons: int,
+    seconds: int,
+    least_seconds: int = 1,
+) -> None:
+    """Measure in line of sight and obstructed, as the command line asks, and write JSON."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--vehicles", type=int, default=20)
-    parser.add_argument("--beacons", type=int, default=3)
-    parser.add_argument("--seconds", type=int, default=60)
+    parser.add_argument("--beacons", type=int, default=beacons)
+    parser.add_argument("--seconds", type=int, default=seconds)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
+    if options.seconds < least_seconds:
+        parser.error(f"--seconds is {options.seconds}; {least_seconds} or more are needed")
     asked = (options.vehicles, options.beacons, options.seconds)
     report: dict[str, Any] = {
-        "environment": environment("numpy", "scipy"),
+        "environment": environment("numpy", "scipy", "shapely"),
         "seed": options.seed,
         "vehicles": options.vehicles,
         "beacons_measured": options.beacons,
@@ -107,4 +116,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_both(measured, __doc__, beacons=3, seconds=60)

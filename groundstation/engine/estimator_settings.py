@@ -30,7 +30,7 @@ class EstimatorSettings:
     regions_interval_s: float = 2.0
     """Containment regions and search map are drawn at most this often a beacon, seconds."""
     all_regions_interval_s: float = 0.1
-    """The same of them: with 50 beacons each is drawn every five seconds."""
+    """Of many beacons each is drawn in its turn, so far apart in all, seconds: of 50 each every five."""
     explanation_interval_s: float = 5.0
     """What each vehicle contributed is worked out at most this often a beacon, seconds."""
     explanations_interval_s: float = 0.5

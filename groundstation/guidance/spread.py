@@ -39,8 +39,8 @@ def propose(
 ) -> PlanInput:
     """Proposals for vehicles that would learn more elsewhere.
 
-    ``least_radius_m``: of a 90 % radius, what comes of the vehicles' own places and no flight makes less.
     They have passed the gate, at most one a vehicle; notes say why the others got none.
+    ``least_radius_m``: of a 90 % radius, what comes of the vehicles' own places and no flight makes less.
     """
     notes: list[str] = []
     vehicles = {state.vehicle_id: state for state in sorted(request.vehicles, key=lambda s: s.vehicle_id)}

@@ -218,10 +218,6 @@ class Evidence:
         """(C,); the nodes of π are equally likely."""
         return log_sum(self.angle_log) - math.log(self.angle_log.shape[0])
 
-    def means_at(self, candidate: int, exponents: ExponentGrid) -> tuple[float, float, float]:
-        """Posterior mean of β_LOS, β_NLOS and the order of the antennas' null at one candidate."""
-        return self.solved(exponents, slice(candidate, candidate + 1)).means_at(0)
-
     def orders_drawn(self, candidates: Any, exponents: ExponentGrid, uniform: FloatArray) -> FloatArray:
         """(3, n) β_LOS, β_NLOS and null's order drawn from their posterior at n candidates.
 

@@ -7,15 +7,18 @@ import math
 import pickle
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
+from groundstation.config.schema import Config
 from groundstation.domain.mission import Area, FlightLimits
 from groundstation.domain.target import Environment, TargetState
 from groundstation.guidance import GuidanceSettings, PlanRequest, propose
 from groundstation.guidance.spread import standoff_m
 from groundstation.safety.gate import Airspace, leg_refusals
 from groundstation.safety.settings import SafetySettings
+from groundstation.station import Station
 
 SETTINGS = GuidanceSettings()
 SAFETY = SafetySettings()
@@ -165,6 +168,17 @@ def test_no_vehicle_is_sent_for_what_it_cannot_make_better(request_of, cluster, 
     plan = propose(request, SETTINGS, SAFETY, least_radius_m=4.3)
     assert plan.proposals == ()
     assert any("nothing to gain" in note for note in plan.notes)
+
+
+def test_the_station_says_what_no_flight_makes_better(request_of, cluster, belief):
+    """Places told to 2 m: of 5 m of radius 4.3 m are the vehicles'."""
+    settings = Config()
+    model = replace(settings.estimator.localization.model, vehicle_position_std_m=2.0)
+    localization = replace(settings.estimator.localization, model=model)
+    told = replace(settings, estimator=replace(settings.estimator, localization=localization))
+    request = request_of(cluster, [belief(radius=5.0)])
+    assert Station._propose(SimpleNamespace(settings=settings), request).proposals
+    assert not Station._propose(SimpleNamespace(settings=told), request).proposals
 
 
 @pytest.mark.parametrize(

@@ -302,8 +302,8 @@ def test_exponents_beyond_their_limits_are_unlikely_not_impossible() -> None:
     hard = replace(MODEL, nlos_exponent_min=2.0, nlos_exponent_max=3.0, los_exponent_std=0.0)
     soft = replace(hard, nlos_exponent_doubt=0.15)
     evidence = evidence_of(seen, places, [], hard)
-    assert evidence.means_at(0, ExponentGrid.of(hard))[1] < 3.0
-    assert 3.2 < evidence.means_at(0, ExponentGrid.of(soft))[1] < 4.2
+    assert evidence.solved(ExponentGrid.of(hard)).means_at(0)[1] < 3.0
+    assert 3.2 < evidence.solved(ExponentGrid.of(soft)).means_at(0)[1] < 4.2
     nlos = np.linspace(1.0, 5.5, 1500)
     beyond = np.log(np.maximum(2.0 / nlos, 1.0)) + np.log(np.maximum(nlos / 3.0, 1.0))
     grid = ExponentGrid(

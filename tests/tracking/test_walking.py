@@ -180,7 +180,7 @@ def test_points_drawn_from_a_belief_are_the_belief() -> None:
     assert covariance[2, 2] == 1.0
     assert (points.nuisance[2] == 0.0).all()
     best = int(np.argmax(belief.mass))
-    los, nlos, null = belief.evidence.means_at(best, belief.exponents)
+    los, nlos, null = belief.evidence.solved(belief.exponents).means_at(best)
     there = belief.evidence.nuisances_at(best, los, nlos, null)
     near = np.linalg.norm(points.position_enu_m.T - belief.mesh.center_enu_m[best], axis=1).argsort()[:40]
     np.testing.assert_allclose(points.nuisance[0, near].mean(), there[0], atol=0.3)
