@@ -104,22 +104,23 @@ def tip_at(page: Page, x: float, y: float) -> str:
     return tip.inner_text() if tip.count() else ""
 
 
-def ring_radius_m(page: Page, east_north_m: tuple[float, float], says: str) -> float:
-    """How far from a place, given relative to the middle of the map, the pointer finds its circle."""
+def ring_radii_m(page: Page, east_north_m: tuple[float, float], says: str) -> list[float]:
+    """How far from a place, given relative to the middle of the map, its circle is found."""
     box = page.get_by_test_id("map").bounding_box()
     assert box is not None
     scale = page.locator(".maplibregl-ctrl-scale")
     px_m = scale.evaluate("node => node.offsetWidth") / float(scale.inner_text().split()[0])
     x = box["x"] + box["width"] / 2 + east_north_m[0] * px_m
     y = box["y"] + box["height"] / 2 - east_north_m[1] * px_m
-    # Links and vehicles lie above the circle: where one is in the way, another direction is tried.
+    found_m = []
     for turn in range(8):
         angle = math.pi * turn / 4
         for reach_m in range(20, 90, 2):
             at = (x + reach_m * px_m * math.cos(angle), y - reach_m * px_m * math.sin(angle))
             if says in tip_at(page, *at):
-                return float(reach_m)
-    raise AssertionError(f"no circle that says {says!r} was found on the map")
+                found_m.append(float(reach_m))
+                break
+    return found_m
 
 
 def test_a_place_in_the_area_s_file_is_drawn_told_and_explained(
@@ -150,7 +151,9 @@ def test_a_place_in_the_area_s_file_is_drawn_told_and_explained(
     estimate = FRAME.to_enu(Geodetic(row["latitude_deg"], row["longitude_deg"], 584.0))
     away = (HUT_M[0] - estimate[0], HUT_M[1] - estimate[1])
     page.wait_for_timeout(1000)
-    assert ring_radius_m(page, away, "hut\nwithin 60 m") == pytest.approx(HUT_RADIUS_M, abs=10.0)
+    radii_m = ring_radii_m(page, away, "hut\nwithin 60 m")
+    # Links lie above the circle, and its label, farther out, says the same: most of the eight agree.
+    assert sum(abs(radius_m - HUT_RADIUS_M) <= 10.0 for radius_m in radii_m) > 4, radii_m
     page.get_by_test_id("search-map").click()
     for theme in ("light", "dark"):
         page.mouse.move(5, 5)
