@@ -328,8 +328,7 @@ class Station:
         return self.desk.plan_request(self._now_ns(), list(targets.values()))
 
     def _propose(self, request: PlanRequest) -> PlanInput:
-        model = self.settings.estimator.localization.model
-        return propose(request, self.settings.guidance, self.settings.safety, model.least_radius_90_m)
+        return propose(request, self.settings.guidance, self.settings.safety)
 
     async def _housekeeping(self) -> None:
         loop = asyncio.get_running_loop()

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.domain.geometry import Geodetic, Quaternion
+from groundstation.domain.vehicle import PlaceAccuracy
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +83,8 @@ class LinkWindow:
     sensor_los_probability: float | None
     """What an on-board classifier says (SAR_LINK_STATE), newest."""
     close_reason: CloseReason
+    place_accuracy: PlaceAccuracy | None = None
+    """What the vehicle says of ``position``; None: nothing."""
 
     @property
     def key(self) -> tuple[int, int, int]:

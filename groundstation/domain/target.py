@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
@@ -99,6 +100,13 @@ class TargetState:
     """P(the person walks), given what was heard; None: not asked."""
     joined_beacon_ids: tuple[int, ...] = ()
     """Other ids of the same transmitter, as the operator said: their windows count here."""
+    vehicle_position_std_m: float = 0.0
+    """What the vehicles' own places leave unsure of it, each horizontal axis: no flight lessens it."""
+
+    @property
+    def least_radius_90_m(self) -> float:
+        """What no flight gets its 90 % radius under."""
+        return self.vehicle_position_std_m * math.sqrt(-2.0 * math.log(0.1))
 
 
 @dataclass(frozen=True, slots=True)

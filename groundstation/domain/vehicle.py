@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -19,6 +20,30 @@ class Autopilot(StrEnum):
     UNKNOWN = "unknown"
     ARDUPILOT = "ardupilot"
     PX4 = "px4"
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceAccuracy:
+    """How well a vehicle says that it knows where it is (GPS_RAW_INT)."""
+
+    horizontal_m: float
+    """Root mean square of the horizontal error, both axes together."""
+    vertical_m: float | None
+    """The same in height; None: it does not say."""
+    corrected: bool
+    """Whether a reference station corrects it (RTK, fix types 5 and 6)."""
+
+    def std_m(self, assumed_m: tuple[float, float]) -> tuple[float, float]:
+        """Standard deviation of each horizontal axis, and of height; ``assumed_m``: what is assumed unsaid.
+
+        Without corrections never better than assumed: a receiver alone does not see what the ionosphere
+        and reflections do to it.
+        """
+        said = self.horizontal_m / math.sqrt(2.0), self.vertical_m
+        flat, upright = (mine if told is None else told for told, mine in zip(said, assumed_m, strict=True))
+        if self.corrected:
+            return flat, upright
+        return max(flat, assumed_m[0]), max(upright, assumed_m[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,3 +88,5 @@ class VehicleState:
     """Whether its times can be mapped to station time yet."""
     clock_uncertainty_ns: int | None = None
     """How far the autopilot's times may be off station time; None until they can be mapped."""
+    place_accuracy: PlaceAccuracy | None = None
+    """What its satellite receiver says of its place; None: nothing, or it has no fix."""

@@ -179,7 +179,8 @@ class Estimator:
         if self._ground.first_place is None:
             self._ground.first_place = window.position
         classified = verdict.source is not LosSource.PRIOR
-        heard = Heard.of(window, verdict.los_probability, classified)
+        assumed_m = self._settings.localization.model.vehicle_std_m
+        heard = Heard.of(window, verdict.los_probability, classified, assumed_m)
         joint = self._joins.joint_of(window.beacon_id)
         frame = self._ground.frame
         for holder in (beacon,) if joint is None else (beacon, joint):

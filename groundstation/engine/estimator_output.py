@@ -39,16 +39,22 @@ class Heard:
     los_probability: float
     classified: bool
     """Whether somebody judged the link; False: the probability is the prior."""
+    position_std_m: float | None = None
+    """How far off the vehicle's place may be, each horizontal axis; None: it did not say."""
+    height_std_m: float | None = None
 
     @classmethod
-    def of(cls, window: LinkWindow, los_probability: float, classified: bool) -> Heard:
-        """The window and its verdict."""
-        place = window.position
+    def of(
+        cls, window: LinkWindow, los_probability: float, classified: bool, assumed_std_m: tuple[float, float]
+    ) -> Heard:
+        """The window and its verdict; ``assumed_std_m``: of an unsaid place, horizontal axis and height."""
+        place, accuracy = window.position, window.place_accuracy
         return cls(
             window.vehicle_id, window.end_ns, place.latitude_deg, place.longitude_deg,
             place.altitude_amsl_m, window.path_length_m, window.rss_dbm, window.rss_std_error_db,
             window.azimuth_rad, window.elevation_rad, window.azimuth_std_error_rad,
             window.elevation_std_error_rad, los_probability, classified,
+            *((None, None) if accuracy is None else accuracy.std_m(assumed_std_m)),
         )  # fmt: skip
 
 

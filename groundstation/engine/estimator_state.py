@@ -80,7 +80,8 @@ def beacon_from(tree: dict[str, Any], area: SearchArea | None, settings: Estimat
 
 
 def _heard(row: list[Any]) -> Heard:
-    return Heard(**dict(zip(HEARD_FIELDS, row, strict=True)))
+    # Rows kept by an earlier version are shorter.
+    return Heard(**dict(zip(HEARD_FIELDS, row, strict=False)))
 
 
 def place_state(place: Geodetic) -> list[float]:

@@ -7,8 +7,10 @@ regions, which are dear, have intervals of their own.
 
 from __future__ import annotations
 
+import math
 from collections import Counter as Tally
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +30,8 @@ from groundstation.engine.estimator_settings import EstimatorSettings
 from groundstation.engine.estimator_verdicts import SOLVER_FAULTS
 from groundstation.localization import Links, SearchArea, environment_of, locate
 from groundstation.localization.containment import smooth_raster
-from groundstation.localization.problem import FloatArray
+from groundstation.localization.likelihood import shared_variance_m2
+from groundstation.localization.problem import FloatArray, SignalModel
 from groundstation.tracking import Tracker, TrackObservation, containment, region_rings
 
 METHOD = "posterior-filter"
@@ -41,6 +44,7 @@ def observation(heard: Heard, place: FloatArray) -> TrackObservation:
         heard.rss_dbm, heard.rss_std_error_db,
         heard.azimuth_rad, heard.elevation_rad, heard.azimuth_std_rad, heard.elevation_std_rad,
         heard.los_probability, heard.classified, 1e-9 * heard.end_ns,
+        heard.position_std_m, heard.height_std_m,
     )  # fmt: skip
 
 
@@ -77,7 +81,8 @@ def target_state(
     """
     mass = belief.mass
     model = settings.localization.model
-    summary = containment(belief.mesh, mass, shift=model.vehicle_variance_m2)
+    shift = belief.vehicle_variance_m2
+    summary = containment(belief.mesh, mass, shift=shift)
     fresh = beacon.fresh(time_ns, settings.localization)
     environment, los_count = Environment.UNKNOWN, 0
     if fresh:
@@ -92,7 +97,7 @@ def target_state(
     each_s, any_s = settings.regions_interval_s, settings.all_regions_interval_s
     if beacon.regions_ns is None or _is_due(beacon.regions_ns, time_ns, each_s, any_s, beacon, lively):
         beacon.regions_ns = time_ns
-        picture = smooth_raster(belief.mesh, mass, shift=model.vehicle_variance_m2)
+        picture = smooth_raster(belief.mesh, mass, shift=shift)
         regions = regions_geodetic(region_rings(belief.mesh, mass, picture=picture), frame)
     beacon.sequence += 1
     east, north, up = (float(value) for value in summary.position_enu_m)
@@ -115,8 +120,26 @@ def target_state(
         regions=regions,
         walking_probability=round(belief.walking_probability, 3),
         joined_beacon_ids=joined_beacon_ids,
+        vehicle_position_std_m=math.sqrt(shift[0]),
     )
     return [state] if picture is None else [state, search_map(state, picture, frame)]
+
+
+def _model_of(fresh: list[Heard], links: Links, model: SignalModel) -> SignalModel:
+    """The model with the vehicles' places as good as these windows' vehicles say."""
+    if all(heard.position_std_m is None for heard in fresh):
+        return model
+    assumed = model.vehicle_std_m
+    told = [
+        [
+            mine if std is None else std
+            for std, mine in zip((h.position_std_m, h.height_std_m), assumed, strict=True)
+        ]
+        for h in fresh
+    ]
+    counts = np.where(np.isfinite(links.azimuth_rad), links.los_probability, 0.0)
+    flat, upright = shared_variance_m2(np.square(told), counts, model)
+    return replace(model, vehicle_position_std_m=math.sqrt(flat), vehicle_height_std_m=math.sqrt(upright))
 
 
 def _is_due(
@@ -162,8 +185,9 @@ def _renew_snapshot(
     if last_ns is not None and not _is_due(last_ns, time_ns, each_s, any_s, beacon, lively):
         return
     beacon.snapshot_ns = time_ns
+    model = _model_of(fresh, links, limits.model)
     try:
-        estimate = locate(links, area, "adaptive", limits.model, limits.choice)
+        estimate = locate(links, area, "adaptive", model, limits.choice)
     except SOLVER_FAULTS:
         # The belief does not need the snapshot; all vehicles in one place is a normal sight.
         tally["snapshot_failures"] += 1
@@ -177,7 +201,7 @@ def _renew_snapshot(
         time_ns=time_ns,
         position=rounded_place(frame.to_geodetic((east, north, up))),
         # What the vehicles' told places are off by in common moves the answer with them.
-        covariance_enu_m2=covariance_tuple(estimate.covariance_m2 + limits.model.vehicle_covariance_m2),
+        covariance_enu_m2=covariance_tuple(estimate.covariance_m2 + model.vehicle_covariance_m2),
         environment=estimate.environment,
         method=estimate.method,
         transmit_power_dbm=round(power, 3) if np.isfinite(power) else None,

@@ -7,6 +7,7 @@ which words the operator reads and what counts as having listened, this one what
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from groundstation.domain.events import Event, Severity
@@ -82,7 +83,7 @@ class VehicleIntake:
         closed: list[LinkWindow] = []
         activities: list[LinkActivity] = []
         self.samples.tick(now_ns, closed, activities)
-        out += closed
+        self._give(closed, out)
         out += activities
         picture = self.picture
         if not picture.lost and now_ns - max(picture.heartbeat_ns, self._silent_since_ns) >= self._lost_ns:
@@ -113,7 +114,7 @@ class VehicleIntake:
         """Nothing more will come: close all windows, tell what was not told yet."""
         closed: list[LinkWindow] = []
         self.samples.end(closed)
-        out += closed
+        self._give(closed, out)
         told = self.notices.captures(self.samples, now_ns, final=True)
         if told is not None:
             out.append(told)
@@ -224,7 +225,11 @@ class VehicleIntake:
     def _place(self, out: list[IngestOutput]) -> None:
         closed: list[LinkWindow] = []
         self.samples.place_covered(closed)
-        out += closed
+        self._give(closed, out)
+
+    def _give(self, closed: list[LinkWindow], out: list[IngestOutput]) -> None:
+        accuracy = self.picture.place_accuracy
+        out += closed if accuracy is None else [replace(w, place_accuracy=accuracy) for w in closed]
 
     # --- messages of any component
 

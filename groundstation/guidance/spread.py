@@ -34,20 +34,17 @@ _PARTS_OF_WAY = (0.8, 0.6, 0.4, 0.25)
 _POINTS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 
 
-def propose(
-    request: PlanRequest, settings: GuidanceSettings, safety: SafetySettings, least_radius_m: float = 0.0
-) -> PlanInput:
+def propose(request: PlanRequest, settings: GuidanceSettings, safety: SafetySettings) -> PlanInput:
     """Proposals for vehicles that would learn more elsewhere.
 
     They have passed the gate, at most one a vehicle; notes say why the others got none.
-    ``least_radius_m``: of a 90 % radius, what comes of the vehicles' own places and no flight makes less.
     """
     notes: list[str] = []
     vehicles = {state.vehicle_id: state for state in sorted(request.vehicles, key=lambda s: s.vehicle_id)}
     going_to = dict(request.going_to)
     airspace = Airspace(request.time_ns, request.mission, vehicles, going_to)
     free = _free_vehicles(airspace, safety, notes)
-    beacons = _beacons_in_need(request, settings, math.hypot(settings.found_radius_m, least_radius_m), notes)
+    beacons = _beacons_in_need(request, settings, notes)
     if not free or not beacons or request.mission.fence is None:
         if request.mission.fence is None:
             notes.insert(0, "no fence is set: no vehicle can be sent anywhere")
@@ -76,15 +73,14 @@ def _free_vehicles(airspace: Airspace, safety: SafetySettings, notes: list[str])
     return free
 
 
-def _beacons_in_need(
-    request: PlanRequest, settings: GuidanceSettings, found_radius_m: float, notes: list[str]
-) -> list[TargetState]:
+def _beacons_in_need(request: PlanRequest, settings: GuidanceSettings, notes: list[str]) -> list[TargetState]:
     needy = []
     for target in sorted(request.targets, key=lambda t: t.beacon_id):
         silent_s = (request.time_ns - target.last_heard_ns) * 1e-9
         if silent_s > settings.stale_target_s:
             notes.append(f"beacon {target.beacon_id}: not heard for {silent_s:.0f} s, no vehicle is sent")
-        elif target.radius_90_m <= found_radius_m:
+        elif target.radius_90_m <= math.hypot(settings.found_radius_m, target.least_radius_90_m):
+            # What the vehicles' own places bring is no reason to fly: no flight makes it less.
             known_m = target.radius_90_m
             notes.append(f"beacon {target.beacon_id}: known to within {known_m:.0f} m, nothing to gain")
         elif target.position.is_valid():

@@ -140,9 +140,8 @@ class Bearings:
         spread_m2 = (mesh.half_m.T**2 / 3.0).astype(_SINGLE)
         azimuth = observations.azimuth_rad[rows].astype(_SINGLE)
         wide = (white[0] + constant).astype(_SINGLE)
-        of_vehicle = model.vehicle_variance_m2
-        reach_m2 = spread_m2[0] + _SINGLE(of_vehicle[0])
-        near, along, across = _near_the_rays(here, azimuth, wide, there, reach_m2)
+        of_vehicle = observations.place_variance_m2[rows].T.astype(_SINGLE)
+        near, along, across = _near_the_rays(here, azimuth, wide, there, spread_m2[0], of_vehicle[0])
         pair = np.flatnonzero(near)
         number = pair // max(cells, 1)
         cell = pair - number * cells
@@ -153,8 +152,8 @@ class Bearings:
         )
         of_box = angle_variance(per_m2, tuple(spread_m2.take(cell, axis=1)))
         white, odds = white.astype(_SINGLE).take(number, axis=1), odds.astype(_SINGLE)
-        if any(of_vehicle):
-            white += angle_variance(per_m2, of_vehicle)
+        if of_vehicle.any():
+            white += angle_variance(per_m2, tuple(of_vehicle.take(number, axis=1)))
         at = (link * cells).take(number) + cell
         mean, variance = self.mean.reshape(2, -1), self.variance.reshape(2, -1)
         starts = np.searchsorted(number, ends).tolist()
@@ -227,12 +226,13 @@ def _told(log: FloatArray, odds: Any, density: Any, number: Any, cell: Any) -> A
 
 
 def _near_the_rays(
-    place: Any, azimuth_rad: Any, variance: Any, center: Any, spread_m2: Any
+    place: Any, azimuth_rad: Any, variance: Any, center: Any, spread_m2: Any, of_place_m2: Any
 ) -> tuple[Any, Any, Any]:
     """Where a bearing's density is not nothing (most cells are far off a narrow ray); (r, C) bool.
 
-    Cells: ``center`` (3, C), and ``spread_m2`` (C,), the variance of a place in each on an axis. And the
-    horizontal way from each place to each cell, along the bearing and across it; (r, C) metres.
+    Cells: ``center`` (3, C), and ``spread_m2`` (C,), the variance of a place in each on an axis;
+    ``of_place_m2`` (r,) the same of each place. And the horizontal way from each place to each cell, along
+    the bearing and across it; (r, C) metres.
     """
     east, north = np.cos(azimuth_rad)[:, None], np.sin(azimuth_rad)[:, None]
     x = center[0] - place[:, 0, None]
@@ -249,6 +249,7 @@ def _near_the_rays(
     np.maximum(horizontal2, 0.01, out=horizontal2)
     spread = variance[:, None] * horizontal2
     spread += spread_m2
+    spread += of_place_m2[:, None]
     # Behind the vehicle the turn is over 90°: nothing, unless the spread is wide.
     horizontal2 *= 0.03
     near = spread > horizontal2

@@ -206,6 +206,23 @@ def angle_variance(per_m2: tuple[Any, Any, Any], spread_m2: tuple[Any, Any]) -> 
     return result
 
 
+def shared_variance_m2(
+    place_variance_m2: FloatArray, counts: FloatArray, model: SignalModel
+) -> tuple[float, float]:
+    """Variances, horizontal (each axis) and of height, that told places bring to an answer from all of them.
+
+    ``place_variance_m2`` (n, 2), of each; ``counts`` (n,): P(line of sight) of its bearing, 0 without one:
+    by bearings a place moves the answer; where there are none all count alike. As if common to
+    all: right for one receiver, cautious for several. A vague place counts less, as its bearings do
+    beside those of places known as the model has them.
+    """
+    assumed = np.array(model.vehicle_variance_m2)
+    weight = 1.0 / np.maximum(place_variance_m2 + assumed, 1e-12)
+    weight *= (counts if counts.any() else np.ones_like(counts))[:, None]
+    flat, upright = (weight * place_variance_m2).sum(axis=0) / weight.sum(axis=0)
+    return float(flat), float(upright)
+
+
 def bearing_density(
     offset_m: FloatArray,
     across_m2: Any,

@@ -265,9 +265,9 @@ class SignalModel:
     """How far β_NLOS may lie beyond these limits after all: there its density falls by e for each such
     step of ln β; 0: not at all (tracker only)."""
     vehicle_position_std_m: float = 0.0
-    """How far off the vehicles' told places may be, east and north each, metres (``posterior`` and tracker);
-    it does not average out along a flight. Bearings from near by and the answer's spread count it, powers
-    hardly change over it."""
+    """How far off the vehicles' told places may be, east and north each, metres (``posterior`` and tracker),
+    where they do not say so themselves; it does not average out along a flight. Bearings from near by and
+    the answer's spread count it, powers hardly change over it."""
     vehicle_height_std_m: float = 0.0
     """The same of their heights, metres."""
     shared_shadowing: float = 0.0
@@ -328,6 +328,11 @@ class SignalModel:
         return self.antenna_null_mean != 0.0 or self.antenna_null_std > 0.0
 
     @property
+    def vehicle_std_m(self) -> tuple[float, float]:
+        """Standard deviation of a vehicle's told place on each horizontal axis, and of its height, metres."""
+        return self.vehicle_position_std_m, self.vehicle_height_std_m
+
+    @property
     def vehicle_variance_m2(self) -> tuple[float, float]:
         """Variance of a vehicle's told place on each horizontal axis, and of its height, m²."""
         return self.vehicle_position_std_m**2, self.vehicle_height_std_m**2
@@ -337,11 +342,6 @@ class SignalModel:
         """The same as (3, 3) m²."""
         flat, upright = self.vehicle_variance_m2
         return np.diag([flat, flat, upright])
-
-    @property
-    def least_radius_90_m(self) -> float:
-        """What no flight gets a 90 % radius under, metres: that of the vehicles' own places."""
-        return self.vehicle_position_std_m * math.sqrt(-2.0 * math.log(0.1))
 
     @property
     def transmit_power_mean_dbm(self) -> float:

@@ -50,6 +50,8 @@ class Observations:
     """(n,) how far whether the angles are genuine is news, 0 to 1: from near by it is not."""
     parents: Any
     """(n, m) int: rows conditioned on; −1 = none."""
+    place_variance_m2: FloatArray
+    """(n, 2) variance of each horizontal axis of the vehicle's told place, and of its height."""
 
     @property
     def count(self) -> int:

@@ -35,7 +35,7 @@ _CIR_FIXED_LENGTH = 40
 _HEARTBEAT = Struct("<IBBBBB").unpack_from
 _SYS_STATUS = Struct("<IIIHHhHHHHHHb").unpack_from
 _SYSTEM_TIME = Struct("<QI").unpack_from
-_GPS_RAW = Struct("<QiiiHHHHBB").unpack_from
+_GPS_RAW = Struct("<28xBB4xII").unpack_from
 _ATTITUDE = Struct("<Ifff").unpack_from
 _ATTITUDE_QUATERNION = Struct("<Iffff").unpack_from
 _GLOBAL_POSITION = Struct("<Iiiiihhh").unpack_from
@@ -75,8 +75,18 @@ def _system_time(payload: bytes) -> m.SystemTime:
 
 
 def _gps_raw(payload: bytes) -> m.GpsRaw:
-    fields = _GPS_RAW(payload)
-    return m.GpsRaw(fields[8], None if fields[9] == 0xFF else fields[9])
+    fix_type, satellites, horizontal_mm, vertical_mm = _GPS_RAW(payload)
+    return m.GpsRaw(
+        fix_type,
+        None if satellites == 0xFF else satellites,
+        _accuracy_m(horizontal_mm),
+        _accuracy_m(vertical_mm),
+    )
+
+
+def _accuracy_m(millimetres: int) -> float | None:
+    """0 stands for unknown: MAVLink 1 and older receivers have no such field."""
+    return None if millimetres in (0, 0xFFFFFFFF) else millimetres / 1000.0
 
 
 def quaternion_of_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:

@@ -42,10 +42,12 @@ class SystemTime:
 
 @dataclass(frozen=True, slots=True)
 class GpsRaw:
-    """GPS_RAW_INT (24)."""
+    """GPS_RAW_INT (24). An accuracy is None where it is not told."""
 
     fix_type: int
     satellites: int | None
+    horizontal_accuracy_m: float | None
+    vertical_accuracy_m: float | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,11 @@ own estimator and its own pre-arm checks say so.
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from typing import Any
 
 from groundstation.domain.geometry import Geodetic, Quaternion
-from groundstation.domain.vehicle import Autopilot, VehicleState
+from groundstation.domain.vehicle import Autopilot, PlaceAccuracy, VehicleState
 from groundstation.mavlink.messages import (
     EkfStatus,
     GlobalPosition,
@@ -26,6 +27,9 @@ MAV_AUTOPILOT_INVALID = 8
 _MAV_TYPE_GCS = 6
 _POSITION_ABSOLUTE = 0x210
 """POS_HORIZ_ABS and PRED_POS_HORIZ_ABS, alike in EKF_STATUS_REPORT and ESTIMATOR_STATUS."""
+_FIX_3D = 3
+_FIX_RTK = frozenset({5, 6})
+"""GPS_FIX_TYPE: RTK float and fixed."""
 _FRAMES_AMSL = frozenset({0, 5})
 _FRAMES_ABOVE_HOME = frozenset({3, 6})
 _CONNECTION_KEPT_NS = 60_000_000_000
@@ -77,6 +81,7 @@ class VehiclePicture:
         self.battery_voltage_v: float | None = None
         self.gps_fix_type: int | None = None
         self.satellites: int | None = None
+        self.place_accuracy: PlaceAccuracy | None = None
         self.target: Geodetic | None = None
         self.target_frame: int | None = None
         self.sensor_heard_ns: int | None = None
@@ -106,6 +111,12 @@ class VehiclePicture:
         """GPS_RAW_INT."""
         self.gps_fix_type = message.fix_type
         self.satellites = message.satellites
+        told_m, fix = message.horizontal_accuracy_m, message.fix_type
+        self.place_accuracy = (
+            None
+            if told_m is None or fix < _FIX_3D
+            else PlaceAccuracy(told_m, message.vertical_accuracy_m, fix in _FIX_RTK)
+        )
 
     def ekf_status(self, message: EkfStatus) -> None:
         """EKF_STATUS_REPORT or ESTIMATOR_STATUS."""
@@ -140,7 +151,7 @@ class VehiclePicture:
         """Why there is no position, in the operator's words."""
         if self.gps_fix_type is None:
             return "it sends no GLOBAL_POSITION_INT with a position and no GPS_RAW_INT"
-        if self.gps_fix_type < 3:
+        if self.gps_fix_type < _FIX_3D:
             seen = "" if self.satellites is None else f", {self.satellites} satellites"
             return f"its GPS has no fix (type {self.gps_fix_type}{seen})"
         if self.ekf_flags is None or self.ekf_flags & _POSITION_ABSOLUTE != _POSITION_ABSOLUTE:
@@ -181,6 +192,7 @@ class VehiclePicture:
             packet_loss_percent=packet_loss_percent,
             clock_offset_known=clock_uncertainty_ns is not None,
             clock_uncertainty_ns=clock_uncertainty_ns,
+            place_accuracy=self.place_accuracy,
         )
 
     def _target_amsl(self) -> Geodetic | None:
@@ -208,6 +220,7 @@ class VehiclePicture:
             "target": _place_state(self.target),
             "velocity_ned_m_s": None if self.velocity_ned_m_s is None else list(self.velocity_ned_m_s),
             "attitude": None if self.attitude is None else list(self.attitude),
+            "place_accuracy": None if self.place_accuracy is None else list(astuple(self.place_accuracy)),
             "connections": [list(item) for item in self.connections.items()],
         }
 
@@ -222,6 +235,8 @@ class VehiclePicture:
         velocity, attitude = tree["velocity_ned_m_s"], tree["attitude"]
         self.velocity_ned_m_s = None if velocity is None else (velocity[0], velocity[1], velocity[2])
         self.attitude = None if attitude is None else (attitude[0], attitude[1], attitude[2], attitude[3])
+        accuracy = tree.get("place_accuracy")
+        self.place_accuracy = None if accuracy is None else PlaceAccuracy(*accuracy)
         self.connections = dict(tree["connections"])
 
 

@@ -96,6 +96,9 @@ def vehicle_row(state: VehicleState) -> wire.VehicleRow:
         battery_voltage_v=finite(state.battery_voltage_v),
         gps_fix_type=state.gps_fix_type,
         satellites=state.satellites,
+        position_accuracy_m=None
+        if state.place_accuracy is None
+        else finite(state.place_accuracy.horizontal_m),
         position_target=place(state.position_target),
         sensor_heard_ns=None if state.sensor_heard_ns is None else str(state.sensor_heard_ns),
         packet_loss_percent=finite(state.packet_loss_percent),

@@ -58,10 +58,9 @@ class VehicleRow(Model):
     battery_voltage_v: float | None = Field(description="Battery voltage, volts.")
     gps_fix_type: int | None = Field(description="MAVLink GPS_FIX_TYPE.")
     satellites: int | None = Field(description="Satellites in use.")
+    position_accuracy_m: float | None = Field(description="Its horizontal RMS error, as it says, m.")
     position_target: Place | None = Field(description="Where its autopilot says it is going.")
-    sensor_heard_ns: DecimalString | None = Field(
-        description="Station time of the radio sensor's last frame, ns."
-    )
+    sensor_heard_ns: DecimalString | None = Field(description="Station time of its sensor's last frame, ns.")
     packet_loss_percent: float | None = Field(
         description="Frames lost on the way here in the last minute, percent."
     )

@@ -12,6 +12,7 @@ the belief gathers; between splits an update costs a few products of arrays.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -70,12 +71,11 @@ class Belief:
             nlos_exponent_doubt=settings.nlos_exponent_doubt,
         )
         self._exponents = ExponentGrid.of(self._model)
-        self._mesh_settings = MeshSettings(
+        self._finest = MeshSettings(
             base_cells=settings.base_cells,
             maximum_cells=settings.maximum_cells,
             split_mass=settings.split_mass,
-            # Finer than the vehicles know where they are nothing is to be told.
-            minimum_half_m=max(settings.minimum_half_m, _OF_PLACES * model.vehicle_position_std_m),
+            minimum_half_m=settings.minimum_half_m,
         )
         self._area = area
         self._history = History(self._model, settings)
@@ -133,6 +133,11 @@ class Belief:
     def model(self) -> SignalModel:
         """The radio's model as the belief uses it."""
         return self._model
+
+    @property
+    def vehicle_variance_m2(self) -> tuple[float, float]:
+        """What its vehicles' places leave unsure of the answer: each horizontal axis, and height, m²."""
+        return self._history.vehicle_variance_m2()
 
     @property
     def settings(self) -> TrackingSettings:
@@ -341,14 +346,9 @@ class Belief:
         """
         self._history.relate_again()
         observations, rows = self._whiten(0)
+        finest, links = self._mesh_settings(), len(self._history.vehicles)
         self._field_log = self._boxes.lay(
-            self._area,
-            self._mesh_settings,
-            observations,
-            rows,
-            len(self._history.vehicles),
-            self.fields_at,
-            reuse,
+            self._area, finest, observations, rows, links, self.fields_at, reuse
         )
         self._unwatched = 0
         self._whole = True
@@ -359,9 +359,14 @@ class Belief:
         """Whether a box holds so much that finer ones are worth their cost."""
         return self._heaviest() > self._remesh_mass * (1.0 if self._whole else _DEAR)
 
+    def _mesh_settings(self) -> MeshSettings:
+        # Finer than the vehicles know where they are nothing is to be told.
+        of_places_m = _OF_PLACES * math.sqrt(self.vehicle_variance_m2[0])
+        return replace(self._finest, minimum_half_m=max(self._finest.minimum_half_m, of_places_m))
+
     def _heaviest(self) -> float:
         """Mass of the heaviest box that can be split."""
-        splittable = self._boxes.mesh.half_m[:, 0] > 2.0 * self._mesh_settings.minimum_half_m
+        splittable = self._boxes.mesh.half_m[:, 0] > 2.0 * self._mesh_settings().minimum_half_m
         return float(np.where(splittable, self._masses(), 0.0).max())
 
     def state(self) -> dict[str, Any]:

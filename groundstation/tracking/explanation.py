@@ -81,14 +81,14 @@ def explain(belief: Belief) -> tuple[LinkExplanation, ...]:
     weight = gain / max(float(gain.sum()), 1e-12)
     place, spread = moments(belief.mesh, belief.mass)
     # A vehicle that is off by a metre sees a bearing off that nobody's compass is to blame for.
-    spread = spread + belief.model.vehicle_covariance_m2
-    powers = _power_residuals(belief, observations, rows, place, spread)
+    spreads = [spread + _of_vehicle(observations, link, belief.model) for link in range(len(vehicles))]
+    powers = _power_residuals(belief, observations, rows, place, spreads)
     found = []
     for link, vehicle_id in enumerate(vehicles):
         mine = observations.link == link
         power, power_score = powers[link]
         azimuth, azimuth_score, elevation, elevation_score = _bearing_residuals(
-            observations, mine, place, spread, belief.model.angle_bias_std_rad
+            observations, mine, place, spreads[link], belief.model.angle_bias_std_rad
         )
         found.append(
             LinkExplanation(
@@ -197,10 +197,17 @@ def _normalised(log_mass: FloatArray) -> FloatArray:
     return result
 
 
+def _of_vehicle(observations: Observations, link: int, model: SignalModel) -> FloatArray:
+    """(3, 3) m²: how far off its places may be."""
+    said = observations.place_variance_m2[observations.link == link]
+    flat, upright = said.mean(axis=0) if len(said) else model.vehicle_variance_m2
+    return np.diag([flat, flat, upright])
+
+
 def _power_residuals(
-    belief: Belief, observations: Observations, rows: Whitened, place: FloatArray, spread: FloatArray
+    belief: Belief, observations: Observations, rows: Whitened, place: FloatArray, spreads: list[FloatArray]
 ) -> list[tuple[float | None, float | None]]:
-    """For each vehicle δ_v in dB, and over its standard deviation."""
+    """For each vehicle δ_v in dB, and over its standard deviation; ``spreads``: (3, 3) m² for each."""
     links = len(belief.vehicles)
     if not rows.rows.size:
         return [(None, None)] * links
@@ -235,7 +242,7 @@ def _power_residuals(
         exponent = p * los + (1.0 - p) * nlos
         square = np.maximum(np.square(away).sum(axis=1), 1.0)
         slope = ((10.0 / _LN10 * exponent / square)[:, None] * away).mean(axis=0)
-        std_db = math.sqrt(1.0 / worth + float(slope @ spread @ slope))
+        std_db = math.sqrt(1.0 / worth + float(slope @ spreads[link] @ slope))
         found.append((delta_db, delta_db / std_db))
     return found
 

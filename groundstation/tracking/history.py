@@ -15,15 +15,16 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from groundstation.localization.likelihood import shared_variance_m2
 from groundstation.localization.mesh import IntArray
 from groundstation.localization.problem import FloatArray, SignalModel
 from groundstation.localization.whitening import Observations, informative_parents
 from groundstation.tracking.settings import TrackingSettings
 
-_COLUMNS = 15
+_COLUMNS = 17
 (
     _EAST, _NORTH, _UP, _LINK, _RSS, _LOS, _WHITE, _AZ, _EL, _AZ_STD, _EL_STD, _FRESH, _ANGLE_P,
-    _TIME, _SHARP,
+    _TIME, _SHARP, _FLAT2, _UPRIGHT2,
 ) = range(_COLUMNS)  # fmt: skip
 LINK, RSS, WHITE, TIME = _LINK, _RSS, _WHITE, _TIME
 """Columns of a row: number of its vehicle; its power, dBm; that power's white variance, dB²; its end, s."""
@@ -51,6 +52,10 @@ class TrackObservation:
     NLOS, whose model is broad enough for both; its angles count by the beacon's other ones."""
     time_s: float = 0.0
     """End of the window, station time, seconds."""
+    position_std_m: float | None = None
+    """How far off the vehicle's place may be, each horizontal axis; None = as the model has it."""
+    height_std_m: float | None = None
+    """The same of its height."""
 
 
 @dataclass(slots=True)
@@ -108,6 +113,7 @@ class History:
             self.counts.append(Counts())
         probability = min(max(window.los_probability, 0.0), 1.0)
         model = self._model
+        flat_m, upright_m = window.position_std_m, window.height_std_m
         return [
             *window.position_enu_m,
             self.vehicles.index(window.vehicle_id),
@@ -122,6 +128,8 @@ class History:
             min(max(probability, 0.01), 0.99) if window.classified else 0.5,
             window.time_s,
             1.0,
+            (model.vehicle_position_std_m if flat_m is None else flat_m) ** 2,
+            (model.vehicle_height_std_m if upright_m is None else upright_m) ** 2,
         ]
 
     def take(self, rows: FloatArray) -> int:
@@ -178,6 +186,14 @@ class History:
             for reach_m in (settings.correlation_m, settings.angle_correlation_m)
         )
         return parents, fresh, sharp
+
+    def vehicle_variance_m2(self) -> tuple[float, float]:
+        """What the vehicles' places leave unsure of any answer: each horizontal axis, and height, m²."""
+        rows = self._rows
+        if not len(rows):
+            return self._model.vehicle_variance_m2
+        counts = np.where(np.isfinite(rows[:, _AZ]), rows[:, _ANGLE_P], 0.0)
+        return shared_variance_m2(rows[:, _FLAT2 : _UPRIGHT2 + 1], counts, self._model)
 
     def observations(self) -> Observations:
         """All windows, as the likelihood wants them; after ``forget`` the older ones are related to none."""
@@ -285,8 +301,12 @@ class History:
         rows = np.array(tree["rows"], dtype=np.float64).reshape(count, -1 if count else _COLUMNS)
         if count and (parents.shape[1] != self._settings.parents or rows.shape[1] != _COLUMNS):
             # The windows are evidence still, their relations are not; older ones have fewer columns.
-            rows = np.pad(rows, ((0, 0), (0, _COLUMNS - rows.shape[1])))
-            rows[:, _SHARP] = 1.0
+            had = rows.shape[1]
+            rows = np.pad(rows, ((0, 0), (0, _COLUMNS - had)))
+            if had <= _SHARP:
+                rows[:, _SHARP] = 1.0
+            if had <= _FLAT2:
+                rows[:, _FLAT2:] = self._model.vehicle_variance_m2
             self._relate_all(rows)
             return False
         self._rows, self._parents = rows, parents.reshape(count, self._settings.parents)
@@ -330,4 +350,5 @@ def observations_of(rows: FloatArray, parents: Any) -> Observations:
         rows[:, _ANGLE_P],
         rows[:, _FRESH],
         parents,
+        rows[:, _FLAT2 : _UPRIGHT2 + 1],
     )

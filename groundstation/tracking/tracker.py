@@ -77,6 +77,11 @@ class Tracker:
         """Vehicles heard from, in order of their first window."""
         return self._walk.vehicles or self._still.vehicles
 
+    @property
+    def vehicle_variance_m2(self) -> tuple[float, float]:
+        """What its vehicles' places leave unsure of the answer: each horizontal axis, and height, m²."""
+        return self._still.vehicle_variance_m2
+
     def transmit_power_dbm(self) -> float:
         """Posterior mean at the most likely place."""
         if self._walk.probability >= 0.5:
@@ -221,6 +226,7 @@ _OBSERVED = tuple(TrackObservation.__slots__)
 
 
 def _observed(row: Any) -> TrackObservation:
-    values = dict(zip(_OBSERVED, row, strict=True))
+    # Rows kept by an earlier version are shorter.
+    values = dict(zip(_OBSERVED, row, strict=False))
     values["position_enu_m"] = tuple(values["position_enu_m"])
     return TrackObservation(**values)

@@ -33,7 +33,7 @@ from groundstation.domain.target import (
     TargetState,
     TargetWaiting,
 )
-from groundstation.domain.vehicle import Autopilot, VehicleState
+from groundstation.domain.vehicle import Autopilot, PlaceAccuracy, VehicleState
 from groundstation.engine.estimator_output import regions_geodetic, search_map
 from groundstation.export import search_map_archive
 from groundstation.localization import SearchArea
@@ -302,6 +302,9 @@ def vehicle(vehicle_id: int, now: int, **changes: Any) -> VehicleState:
         "position_target": None,
         "sensor_heard_ns": now - 200_000_000,
         "packet_loss_percent": 2.5 if vehicle_id == 2 else 0.1,
+        "place_accuracy": {2: PlaceAccuracy(0.02, 0.03, True), 3: PlaceAccuracy(6.2, 9.0, False)}.get(
+            vehicle_id
+        ),
         "clock_offset_known": True,
         "clock_uncertainty_ns": None if vehicle_id == 4 else vehicle_id * 3_000_000,
     }

@@ -30,6 +30,8 @@ def test_everything_is_shown_and_nothing_is_fetched_from_elsewhere(
     for vehicle_id in range(1, 5):
         expect(page.get_by_test_id(f"vehicle-{vehicle_id}")).to_be_visible()
     expect(page.get_by_test_id("vehicle-4")).to_contain_text("LOST")
+    expect(page.get_by_test_id("vehicle-3")).to_contain_text("place only to ± 6 m")
+    expect(page.get_by_test_id("vehicle-2")).not_to_contain_text("place only")
     beacon = page.get_by_test_id(f"beacon-{BEACON}")
     expect(beacon.get_by_test_id("coordinates")).to_have_text(re.compile(r"^-35\.3\d{5}, 149\.16\d{4}$"))
     expect(beacon).to_contain_text("90 % within 9 m")
@@ -48,6 +50,8 @@ def test_everything_is_shown_and_nothing_is_fetched_from_elsewhere(
     page.get_by_test_id("tab-status").click()
     expect(page.get_by_test_id("status")).to_contain_text("cir_incomplete_total")
     expect(page.get_by_test_id("status-vehicle-2")).to_contain_text("± 6 ms")
+    expect(page.get_by_test_id("status-vehicle-2")).to_contain_text("± 0.0 m")
+    expect(page.get_by_test_id("status-vehicle-3")).to_contain_text("± 6.2 m")
     expect(page.get_by_test_id("status-vehicle-4")).not_to_contain_text("±")
     expect(page.get_by_title("How far this autopilot's times may be off").first).to_have_text("Clock")
     page.screenshot(path=shots / "page.png")

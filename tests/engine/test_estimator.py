@@ -23,6 +23,7 @@ from groundstation.domain.target import (
     TargetState,
     TargetWaiting,
 )
+from groundstation.domain.vehicle import PlaceAccuracy
 from groundstation.engine.estimator import Estimator
 from groundstation.engine.estimator_settings import EstimatorSettings
 from groundstation.tracking import Tracker, TrackingSettings
@@ -264,6 +265,29 @@ def test_snapshot_takes_fresh_windows_only() -> None:
     play(estimator, [(int(late * SECOND) + SECOND, long)])
     (state,) = states(estimator.handle(int(late * SECOND) + 2 * SECOND, TickInput()))
     assert state.links == 1
+
+
+def test_a_region_is_as_wide_as_the_vehicles_say_that_their_places_are() -> None:
+    """The same windows with nothing said, without corrections to 10 m, and with RTK to 2 cm."""
+    told = {}
+    for accuracy in (None, PlaceAccuracy(10.0, 15.0, False), PlaceAccuracy(0.02, 0.03, True)):
+        estimator, again = Estimator(QUICK, MarkedCaptures()), Estimator(QUICK, MarkedCaptures())
+        said = [
+            (time_ns, replace(item, place_accuracy=accuracy) if isinstance(item, LinkWindow) else item)
+            for time_ns, item in story(8, mark=0.95)
+        ]
+        play(estimator, said[:-2])
+        again.restore(estimator.state())
+        told[accuracy] = states(play(estimator, [*said[-2:], (9 * SECOND, TickInput())]))[-1]
+        assert states(play(again, [*said[-2:], (9 * SECOND, TickInput())]))[-1] == told[accuracy]
+    assumed, vague, exact = told.values()
+    assert [state.vehicle_position_std_m for state in told.values()] == pytest.approx(
+        [1.0, 10.0 / math.sqrt(2.0), 0.02 / math.sqrt(2.0)]
+    )
+    assert exact.radius_90_m < assumed.radius_90_m < vague.radius_90_m
+    assert vague.radius_90_m > vague.least_radius_90_m > 15.0
+    assert exact.snapshot.covariance_enu_m2[0] < assumed.snapshot.covariance_enu_m2[0]
+    assert vague.snapshot.covariance_enu_m2[0] > 50.0
 
 
 def test_all_vehicles_in_one_place_fail_the_snapshot_only() -> None:

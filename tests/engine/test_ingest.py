@@ -23,7 +23,7 @@ from groundstation.domain.inputs import (
 )
 from groundstation.domain.mission import Mission
 from groundstation.domain.radio import CirCapture, CloseReason, LinkActivity, LinkWindow
-from groundstation.domain.vehicle import Autopilot, VehicleState
+from groundstation.domain.vehicle import Autopilot, PlaceAccuracy, VehicleState
 from groundstation.engine.ingest import Ingest, VehicleMessage
 from groundstation.mavlink.decode import decode
 from groundstation.mavlink.dialect import dialect
@@ -237,6 +237,29 @@ def test_a_flight_becomes_windows_with_the_paper_s_angles():
         assert window.beacon_id == BEACON
     assert "beacon.found" in codes(outputs)
     assert totals(ingest)["sample_no_pose_total"] == 0
+
+
+def test_windows_say_how_well_the_vehicle_knew_its_place():
+    """From GPS_RAW_INT on, in millimetres; what another component says is not the autopilot's."""
+    sender, air = Sender(), Air()
+
+    def gps(component, fix_type, horizontal_mm, vertical_mm):
+        message = dialect.MAVLink_gps_raw_int_message(
+            0, fix_type, 0, 0, 0, 100, 150, 0, 0, 12, h_acc=horizontal_mm, v_acc=vertical_mm
+        )
+        return component.pack(message)
+
+    flight(sender, air, 12)
+    air.send(START + 6 * S, gps(sender.autopilot, 3, 6200, 9000))
+    air.send(START + 7 * S, gps(sender.sensor, 3, 10, 10))
+    outputs, _ = run(air.records(14))
+    windows = of(outputs, LinkWindow)
+    told = [window.place_accuracy for window in windows]
+    assert told[0] is None
+    assert told[-1] == PlaceAccuracy(6.2, 9.0, False)
+    assert told == sorted(told, key=lambda accuracy: accuracy is not None)
+    assert len(set(told)) == 2
+    assert of(outputs, VehicleState)[-1].place_accuracy == PlaceAccuracy(6.2, 9.0, False)
 
 
 @pytest.mark.parametrize(("skew", "offset_s"), [(1e-4, 7 * 3600.0), (-1e-4, 1e9), (0.0, 0.0)])

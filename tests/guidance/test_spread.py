@@ -7,18 +7,15 @@ import math
 import pickle
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 
-from groundstation.config.schema import Config
 from groundstation.domain.mission import Area, FlightLimits
 from groundstation.domain.target import Environment, TargetState
 from groundstation.guidance import GuidanceSettings, PlanRequest, propose
 from groundstation.guidance.spread import standoff_m
 from groundstation.safety.gate import Airspace, leg_refusals
 from groundstation.safety.settings import SafetySettings
-from groundstation.station import Station
 
 SETTINGS = GuidanceSettings()
 SAFETY = SafetySettings()
@@ -162,23 +159,14 @@ def test_places_of_one_plan_keep_their_distance(request_of, cluster, belief, fra
 
 
 def test_no_vehicle_is_sent_for_what_it_cannot_make_better(request_of, cluster, belief):
-    """5 m of 90 % radius, of which the vehicles' own places are 4.3 m: the beacon is found within 3 m."""
-    request = request_of(cluster, [belief(radius=5.0)])
-    assert propose(request, SETTINGS, SAFETY).proposals
-    plan = propose(request, SETTINGS, SAFETY, least_radius_m=4.3)
+    """5 m of 90 % radius, of which the vehicles' own places, known to 2 m, are 4.3 m: found within 3 m."""
+    target = belief(radius=5.0)
+    assert propose(request_of(cluster, [target]), SETTINGS, SAFETY).proposals
+    vague = replace(target, vehicle_position_std_m=2.0)
+    assert vague.least_radius_90_m == pytest.approx(2.0 * 2.146, abs=1e-3)
+    plan = propose(request_of(cluster, [vague]), SETTINGS, SAFETY)
     assert plan.proposals == ()
     assert any("nothing to gain" in note for note in plan.notes)
-
-
-def test_the_station_says_what_no_flight_makes_better(request_of, cluster, belief):
-    """Places told to 2 m: of 5 m of radius 4.3 m are the vehicles'."""
-    settings = Config()
-    model = replace(settings.estimator.localization.model, vehicle_position_std_m=2.0)
-    localization = replace(settings.estimator.localization, model=model)
-    told = replace(settings, estimator=replace(settings.estimator, localization=localization))
-    request = request_of(cluster, [belief(radius=5.0)])
-    assert Station._propose(SimpleNamespace(settings=settings), request).proposals
-    assert not Station._propose(SimpleNamespace(settings=told), request).proposals
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ def flight(
         np.arctan2(offset[:, 1], offset[:, 0]) + noise[0],
         np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1])) + noise[1],
         np.full((count, 2), WHITE), np.full(count, p), np.full(count, weight), np.full((count, 1), -1),
+        np.zeros((count, 2)),
     )  # fmt: skip
 
 
@@ -78,7 +79,6 @@ def test_a_vehicle_that_is_not_where_it_says_turns_near_bearings_most() -> None:
     turned = np.arctan2(offset[:, 1], offset[:, 0])
     lifted = np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1]))
     seen.azimuth_rad[:], seen.elevation_rad[:] = turned + 0.01, lifted - 0.02
-    model = replace(CERTAIN, vehicle_position_std_m=1.0, vehicle_height_std_m=3.0)
     flat2 = (offset[:, :2] ** 2).sum(axis=1)
     all2 = flat2 + offset[:, 2] ** 2
     own = WHITE**2 + CERTAIN.angle_bias_std_rad**2
@@ -88,12 +88,19 @@ def test_a_vehicle_that_is_not_where_it_says_turns_near_bearings_most() -> None:
     for row in range(6):
         one = Observations(*(getattr(seen, name)[[row]] for name in Observations.__dataclass_fields__))
         one.link[:] = 0
-        both = [angle_log_likelihood(one, 0, TRUTH[None], small(1), m)[0, 0] for m in (model, CERTAIN)]
+        both = [
+            angle_log_likelihood(
+                replace(one, place_variance_m2=np.array([place])), 0, TRUTH[None], small(1), CERTAIN
+            )[0, 0]
+            for place in ((1.0, 9.0), (0.0, 0.0))
+        ]
         plain = -0.5 * (0.01**2 + 0.02**2) / own - np.log(2.0 * np.pi * own)
         # What a bearing may claim is the same for both, its density is not.
         assert both[0] - both[1] == pytest.approx(expected[row] - plain, abs=2e-3)
     sides = TRUTH + np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
-    told = [angle_log_likelihood(shown(seen, 1), 0, sides, small(2), m)[0] for m in (model, CERTAIN)]
+    first = shown(seen, 1)
+    vague = replace(first, place_variance_m2=np.array([[1.0, 9.0]]))
+    told = [angle_log_likelihood(one, 0, sides, small(2), CERTAIN)[0] for one in (vague, first)]
     assert told[0][0] - told[0][1] < 0.2 * (told[1][0] - told[1][1])
 
 

@@ -14,6 +14,7 @@ from groundstation.localization.likelihood import (
     bearing_density,
     log_squares,
     mixture_variance_db2,
+    shared_variance_m2,
 )
 from groundstation.localization.problem import SignalModel
 from groundstation.localization.regression import Evidence
@@ -50,6 +51,7 @@ def flight(count: int, seed: int, parents: int, foreign: bool = False) -> Observ
         np.zeros(count),
         np.ones(count),
         earlier,
+        np.zeros((count, 2)),
     )
 
 
@@ -191,7 +193,7 @@ def test_second_visit_to_a_place_teaches_little() -> None:
         zero = np.zeros(count)
         seen = Observations(
             places, np.zeros(count, dtype=int), rss, zero, zero + 0.1, none, none, np.ones((count, 2)),
-            zero, zero, parents,
+            zero, zero, parents, np.zeros((count, 2)),
         )  # fmt: skip
         evidence = Evidence.empty(2, 1)
         evidence.add(seen, whiten(seen, 0, 1, 25.0, model), candidates)
@@ -208,7 +210,7 @@ def test_angles_wrap_and_tails_are_finite() -> None:
     seen = Observations(
         np.array([[0.0, 0, 50]]), np.zeros(1, dtype=int), np.array([np.nan]), np.ones(1), np.ones(1),
         np.array([np.pi - 1e-3]), np.array([-0.5]), np.full((1, 2), 0.02), np.ones(1), np.ones(1),
-        np.full((1, 1), -1),
+        np.full((1, 1), -1), np.zeros((1, 2)),
     )  # fmt: skip
     reach = 50 / np.tan(0.5)
     spots = reach * np.array([[-1.0, 1e-3, 0], [-1.0, -1e-3, 0], [1.0, 0, 0], [0, 1.0, 0]])
@@ -231,6 +233,7 @@ def bearings(toward: list[tuple[float, float, float]], p: float) -> Observations
         np.arctan2(offset[:, 1], offset[:, 0]),
         np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1])),
         np.full((count, 2), 0.02), np.full(count, p), np.ones(count), np.full((count, 1), -1),
+        np.zeros((count, 2)),
     )  # fmt: skip
 
 
@@ -386,3 +389,19 @@ def test_antennas_null_is_the_multivariate_normal() -> None:
         ExponentGrid.of(replace(model, antenna_null_mean=0.0, antenna_null_std=0.0))
     )
     assert np.abs((ours - ours[0]) - (flat - flat[0])).max() > 0.1
+
+
+def test_what_places_leave_unsure_together_is_between_the_best_and_the_worst() -> None:
+    """Assumed 1 m and 2 m. Vague ones count less, and those without a line of sight not at all."""
+    model = SignalModel(vehicle_position_std_m=1.0, vehicle_height_std_m=2.0)
+    alike = np.full((4, 2), [9.0, 25.0])
+    assert shared_variance_m2(alike, np.ones(4), model) == pytest.approx((9.0, 25.0))
+    fleet = np.array([[64.0, 64.0], [1.0, 4.0], [1.0, 4.0], [1.0, 4.0]])
+    # Weights 1/65 and 1/2: (64/65 + 3/2) / (1/65 + 3/2).
+    assert shared_variance_m2(fleet, np.ones(4), model)[0] == pytest.approx(1.6396, abs=1e-4)
+    assert shared_variance_m2(fleet, np.array([0.0, 1.0, 1.0, 1.0]), model) == pytest.approx((1.0, 4.0))
+    assert shared_variance_m2(fleet, np.zeros(4), model) == shared_variance_m2(fleet, np.ones(4), model)
+    exact = np.array([[0.0, 0.0], [1.0, 4.0]])
+    assert shared_variance_m2(exact, np.ones(2), model) == pytest.approx((1.0 / 3.0, 4.0 / 3.0))
+    # A channel of the paper's: nobody is off.
+    assert shared_variance_m2(np.zeros((3, 2)), np.ones(3), SignalModel()) == (0.0, 0.0)

@@ -58,7 +58,7 @@ def tracker_log_likelihood(
         np.zeros(count) if white_variance_db2 is None else white_variance_db2,
         links.azimuth_rad, links.elevation_rad,
         np.tile([model.azimuth_std_rad, model.elevation_std_rad], (count, 1)),
-        p, np.ones(count), np.full((count, 1), -1),
+        p, np.ones(count), np.full((count, 1), -1), np.tile(model.vehicle_variance_m2, (count, 1)),
     )  # fmt: skip
     evidence = Evidence.empty(len(center), count)
     rows = whiten(seen, 0, count, 25.0, model)

@@ -80,12 +80,10 @@ def test_impossible_settings_are_refused(make: object) -> None:
 
 
 def test_how_unsure_vehicles_are_of_their_places_in_three_forms() -> None:
-    """90 % of a Gaussian on both axes lie within σ √(−2 ln 0.1) = 2.146 σ."""
     model = SignalModel(vehicle_position_std_m=2.0, vehicle_height_std_m=3.0)
+    assert model.vehicle_std_m == (2.0, 3.0)
     assert model.vehicle_variance_m2 == (4.0, 9.0)
     np.testing.assert_array_equal(model.vehicle_covariance_m2, np.diag([4.0, 4.0, 9.0]))
-    assert model.least_radius_90_m == pytest.approx(2.0 * 2.146, abs=1e-3)
-    assert SignalModel().least_radius_90_m == 0.0
 
 
 def test_height_limits_follow_the_ground() -> None:

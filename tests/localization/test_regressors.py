@@ -34,6 +34,7 @@ def seen(count: int, los: float | None = None) -> Observations:
         np.zeros(count),
         np.ones(count),
         np.full((count, 0), -1),
+        np.zeros((count, 2)),
     )
     return replace(plain, parents=parents_of(plain, np.arange(count)))
 

@@ -31,6 +31,7 @@ def laps(count: int, links: int = 1, apart_m: float = 5.0) -> Observations:
         np.zeros(count),
         np.ones(count),
         np.full((count, 0), -1),
+        np.zeros((count, 2)),
     )
 
 

@@ -50,7 +50,9 @@ def expected_of(ref: Any) -> m.Message | None:
     if name == "SYSTEM_TIME":
         return m.SystemTime(ref.time_unix_usec or None, ref.time_boot_ms)
     if name == "GPS_RAW_INT":
-        return m.GpsRaw(ref.fix_type, None if ref.satellites_visible == 255 else ref.satellites_visible)
+        seen = None if ref.satellites_visible == 255 else ref.satellites_visible
+        told = (None if mm in (0, 2**32 - 1) else mm / 1000 for mm in (ref.h_acc, ref.v_acc))
+        return m.GpsRaw(ref.fix_type, seen, *told)
     if name == "GLOBAL_POSITION_INT":
         place = m.Geodetic(ref.lat / 1e7, ref.lon / 1e7, ref.alt / 1000)
         velocity = (ref.vx / 100, ref.vy / 100, ref.vz / 100)

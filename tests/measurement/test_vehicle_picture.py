@@ -1,7 +1,9 @@
+import math
+
 import pytest
 
 from groundstation.domain.geometry import Geodetic
-from groundstation.domain.vehicle import Autopilot
+from groundstation.domain.vehicle import Autopilot, PlaceAccuracy
 from groundstation.mavlink.messages import (
     EkfStatus,
     GlobalPosition,
@@ -88,12 +90,41 @@ def test_a_home_without_a_fix_is_not_taken():
 def test_what_is_missing_is_said_in_words():
     picture = VehiclePicture(1)
     assert "GPS_RAW_INT" in picture.missing()
-    picture.gps_raw(GpsRaw(1, 4))
+    picture.gps_raw(GpsRaw(1, 4, None, None))
     assert "no fix (type 1, 4 satellites)" in picture.missing()
-    picture.gps_raw(GpsRaw(3, 9))
+    picture.gps_raw(GpsRaw(3, 9, None, None))
     assert "estimate is not valid" in picture.missing()
     picture.ekf_status(EkfStatus(0x210))
     assert "GLOBAL_POSITION_INT" in picture.missing()
+
+
+def test_how_well_it_knows_its_place_as_long_as_it_has_a_fix():
+    picture = VehiclePicture(1)
+    picture.gps_raw(GpsRaw(3, 9, 1.5, None))
+    assert picture.snapshot(S, None, 0).place_accuracy == PlaceAccuracy(1.5, None, False)
+    picture.gps_raw(GpsRaw(6, 14, 0.02, 0.03))
+    assert picture.snapshot(S, None, 0).place_accuracy == PlaceAccuracy(0.02, 0.03, True)
+    for lost in (GpsRaw(1, 3, 4000.0, 4000.0), GpsRaw(3, 9, None, 2.0)):
+        picture.gps_raw(lost)
+        assert picture.snapshot(S, None, 0).place_accuracy is None
+
+
+def test_without_corrections_nobody_is_surer_of_a_place_than_assumed():
+    """Told as root mean square of both axes: each is a √2-th of it."""
+    assumed = (1.0, 2.0)
+    assert PlaceAccuracy(0.4, 0.5, False).std_m(assumed) == assumed
+    assert PlaceAccuracy(6.0, 9.0, False).std_m(assumed) == pytest.approx((6.0 / math.sqrt(2.0), 9.0))
+    assert PlaceAccuracy(0.02, 0.03, True).std_m(assumed) == pytest.approx((0.02 / math.sqrt(2.0), 0.03))
+    assert PlaceAccuracy(8.0, None, False).std_m(assumed) == pytest.approx((8.0 / math.sqrt(2.0), 2.0))
+    assert PlaceAccuracy(0.02, None, True).std_m(assumed)[1] == 2.0
+
+
+def test_kept_before_places_had_an_accuracy():
+    tree = VehiclePicture(1).state()
+    del tree["place_accuracy"]
+    picture = VehiclePicture(1)
+    picture.restore(tree)
+    assert picture.place_accuracy is None
 
 
 def test_connections_newest_first_and_the_old_ones_go():
@@ -114,5 +145,6 @@ def test_state_and_restore():
     one.position_target(PositionTarget(1, HERE, 6))
     one.attitude = (1.0, 0.0, 0.0, 0.0)
     one.connections["udp"] = S
+    one.gps_raw(GpsRaw(6, 14, 0.02, 0.03))
     two.restore(one.state())
     assert two.snapshot(S, 1.5, 0) == one.snapshot(S, 1.5, 0)

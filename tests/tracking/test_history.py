@@ -153,8 +153,35 @@ def test_state_goes_and_comes_back_and_older_ones_are_related_anew() -> None:
     assert again.restore(made.state())
     for name, value in made.state().items():
         np.testing.assert_array_equal(np.asarray(value), np.asarray(again.state()[name]), name)
+    younger = made.state()
+    younger["rows"] = younger["rows"][:, :15]
+    assert not again.restore(younger)
+    for name, value in made.state().items():
+        np.testing.assert_array_equal(np.asarray(value), np.asarray(again.state()[name]), name)
     old = made.state()
     old["rows"], old["parents"] = old["rows"][:, :13], old["parents"][:, :1]
     del old["counts"]
     assert not again.restore(old)
     np.testing.assert_array_equal(again.observations().parents, made.observations().parents)
+
+
+def test_what_vehicles_say_of_their_places_goes_with_their_windows() -> None:
+    model = SignalModel(vehicle_position_std_m=1.0, vehicle_height_std_m=2.0)
+    made = History(model, SETTINGS)
+    assert made.vehicle_variance_m2() == (1.0, 4.0)
+    said = window(2, 40.0, position_std_m=8.0, height_std_m=12.0)
+    made.take(np.array([made.row(one) for one in (window(1, 0.0), window(1, 20.0), said)]))
+    np.testing.assert_array_equal(
+        made.observations().place_variance_m2, [[1.0, 4.0], [1.0, 4.0], [64.0, 144.0]]
+    )
+    # One vague vehicle among others makes the answer a little vaguer, not as vague as itself.
+    flat, upright = made.vehicle_variance_m2()
+    assert 1.0 < flat < 4.0 < upright < 16.0
+    # By power alone a vehicle's place hardly moves anything: with bearings about it does not count.
+    mute = window(3, 60.0, azimuth_rad=None, elevation_rad=None, position_std_m=30.0, height_std_m=30.0)
+    made.take(np.array([made.row(mute)]))
+    assert made.vehicle_variance_m2() == (flat, upright)
+    # Nor does one whose bearing is of no line of sight.
+    hidden = window(4, 80.0, los_probability=0.01, position_std_m=30.0, height_std_m=30.0)
+    made.take(np.array([made.row(hidden)]))
+    assert made.vehicle_variance_m2()[0] == pytest.approx(flat, rel=0.02)

@@ -86,6 +86,39 @@ def test_vehicles_that_are_not_where_they_say_do_not_make_the_answer_too_sure() 
     assert inside[PAPER] <= 3
 
 
+def test_what_vehicles_say_of_their_places_counts_as_if_it_were_assumed() -> None:
+    """All say ± 3 m and ± 4 m: the belief is that of a model which has it so, no 90 % radius under 6.4 m."""
+    heard, _ = walk(21, 20, 0.0)
+    assumed = Tracker(AREA, replace(PAPER, vehicle_position_std_m=3.0, vehicle_height_std_m=4.0), SETTINGS, 3)
+    said = Tracker(AREA, PAPER, SETTINGS, 3)
+    for windows in heard:
+        assumed.update(windows)
+        said.update([replace(window, position_std_m=3.0, height_std_m=4.0) for window in windows])
+    assert (said.mass == assumed.mass).all()
+    assert said.vehicle_variance_m2 == pytest.approx((9.0, 16.0))
+    shown = containment(said.mesh, said.mass, shift=said.vehicle_variance_m2)
+    assert shown.radius_90_m > 2.146 * 3.0
+
+
+def test_a_vehicle_that_says_how_vague_its_place_is_misleads_nobody() -> None:
+    """Four lines of sight, one vehicle 15 m off its place: told so, the others' bearings decide."""
+    heard, truth = walk(22, 30, 0.0, los=(1, 1, 1, 1))
+    error = {}
+    for says in (None, 15.0):
+        tracker = Tracker(
+            AREA, replace(PAPER, vehicle_position_std_m=1.0, vehicle_height_std_m=2.0), SETTINGS, 3
+        )
+        for windows in heard:
+            east, north, up = windows[0].position_enu_m
+            off = replace(
+                windows[0], position_enu_m=(east, north + 15.0, up), position_std_m=says, height_std_m=says
+            )
+            tracker.update([off, *windows[1:]])
+        error[says] = error_m(tracker, truth[-1])
+    assert error[15.0] < 1.5
+    assert error[15.0] < 0.5 * error[None]
+
+
 def test_a_walker_is_found_out_and_followed() -> None:
     """1.2 m/s, one vehicle in line of sight, 60 s: he comes 72 m far."""
     heard, truth = walk(2, 60, 1.2)

@@ -22,7 +22,7 @@ export const vehicle = (vehicle_id: number, east_deg = 0): VehicleRow => ({
   vehicle_id, time_ns: "1", connections: [], autopilot: "ardupilot", mode: "GUIDED", armed: true, ready: true, lost: false,
   last_heartbeat_ns: "1", position: { latitude_deg: 0.5, longitude_deg: 10 + east_deg, altitude_amsl_m: 0 }, position_time_ns: "1",
   height_above_home_m: 50, home: null, heading_deg: 0, ground_speed_m_s: 0, climb_rate_m_s: 0, battery_percent: null, battery_voltage_v: null,
-  gps_fix_type: 3, satellites: 10, position_target: null, sensor_heard_ns: null, packet_loss_percent: null, clock_offset_known: true, clock_uncertainty_s: null,
+  gps_fix_type: 3, satellites: 10, position_accuracy_m: null, position_target: null, sensor_heard_ns: null, packet_loss_percent: null, clock_offset_known: true, clock_uncertainty_s: null,
 });
 
 export const link = (vehicle_id: number, beacon_id: string): LinkRow => ({

@@ -24,6 +24,7 @@ WALKING_TIMES_S = (*TIMES_S, 180.0, 240.0, 300.0)
 WALKING_M_S = 1.0
 """Speed of those who walk."""
 PLACE_ERROR_M = 1.0
+VAGUE_M = 5.0
 """σ of the error of a vehicle's told place where it is off, east and north each."""
 FACTOR = 1.5
 """How far off a wrong assumption is."""
@@ -57,8 +58,8 @@ def told_of(world: World) -> Told:
         nlos_exponent_max=world.nlos_exponent[1],
         nlos_bias_max_db=world.bias_max_db,
         shared_shadowing=0.0,
-        vehicle_position_std_m=world.place_error_m,
-        vehicle_height_std_m=HEIGHT_ERROR * world.place_error_m,
+        vehicle_position_std_m=min(world.place_error_m, PLACE_ERROR_M),
+        vehicle_height_std_m=HEIGHT_ERROR * min(world.place_error_m, PLACE_ERROR_M),
     )
     settings = TrackingSettings(
         correlation_m=world.correlation_m,
@@ -155,6 +156,19 @@ def _misplaced(key: str, title: str, world: World, shape: Shape) -> Case:
     )
 
 
+def _vague(key: str, title: str, world: World, said: bool) -> Case:
+    vague = replace(world, place_error_m=VAGUE_M, place_error_said=said)
+    return replace(
+        _flight(key, title, vague, Shape.ORBIT, ("tracker", "centre")),
+        name=f"{key}-vague" + ("" if said else "-unsaid"),
+        title=f"{title}, {_PATHS[Shape.ORBIT]}, vehicles' places off by {VAGUE_M:g} m"
+        + (" and said so" if said else " and not said"),
+        section="places",
+        note=f"Assumed is {PLACE_ERROR_M:g} m; the vehicles "
+        + (f"say that it is {VAGUE_M:g}." if said else "say nothing."),
+    )
+
+
 def _snapshot(key: str, title: str, world: World, limit_m: float) -> Case:
     one = replace(world, angle_constant_rad=0.0)
     return Case(
@@ -206,6 +220,8 @@ CASES: dict[str, Case] = {
         _misplaced("mixed", "Mixed", MIXED, Shape.ORBIT),
         _misplaced("mixed", "Mixed", MIXED, Shape.ORACLE),
         _misplaced("los", "LOS", LOS, Shape.ORBIT),
+        _vague("mixed", "Mixed", MIXED, True),
+        _vague("mixed", "Mixed", MIXED, False),
         _wrong("exponent-high", "exponents told × 1.5: 3 to 5.25", _exponents(FACTOR), {}),
         _wrong("exponent-low", "exponents told / 1.5: 1.33 to 2.33", _exponents(1.0 / FACTOR), {}),
         _wrong("sigma-high", "σ told × 1.5: 7.5 dB", _sigma(FACTOR), {}),

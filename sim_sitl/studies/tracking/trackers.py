@@ -38,6 +38,11 @@ class Tracking(Protocol):
         """Share of the belief in each."""
         ...
 
+    @property
+    def vehicle_variance_m2(self) -> tuple[float, float]:
+        """What its vehicles' places leave unsure of the answer: each horizontal axis, and height."""
+        ...
+
     def update(self, batch: list[TrackObservation]) -> object:
         """Take in the windows of a tick."""
         ...
@@ -53,6 +58,7 @@ def still(area: SearchArea, model: SignalModel, settings: TrackingSettings) -> T
 
 def windows_of(run: Run, tick: int) -> list[TrackObservation]:
     """All vehicles' windows of one tick."""
+    said_m = run.place_std_m or (None, None)
     return [
         TrackObservation(
             vehicle_id=vehicle + 1,
@@ -69,6 +75,8 @@ def windows_of(run: Run, tick: int) -> list[TrackObservation]:
             elevation_std_rad=None,
             los_probability=float(run.los_probability[tick, vehicle]),
             time_s=float(run.time_s[tick]),
+            position_std_m=said_m[0],
+            height_std_m=said_m[1],
         )
         for vehicle in range(run.rss_dbm.shape[1])
     ]
@@ -85,15 +93,13 @@ def track(run: Run, ticks: Any, make: Make, model: SignalModel, settings: Tracki
         tracker.update(batch)
         spent += time.thread_time() - began
         if tick == ticks[row]:
-            _read(tracker, run, tick, answers, row, model.vehicle_variance_m2)
+            _read(tracker, run, tick, answers, row)
             row += 1
     return replace(answers, cpu_s=spent)
 
 
-def _read(
-    tracker: Tracking, run: Run, tick: int, answers: Answers, row: int, shift: tuple[float, float]
-) -> None:
-    mesh, mass = tracker.mesh, tracker.mass
+def _read(tracker: Tracking, run: Run, tick: int, answers: Answers, row: int) -> None:
+    mesh, mass, shift = tracker.mesh, tracker.mass, tracker.vehicle_variance_m2
     answers.mean_enu_m[row] = moments(mesh, mass)[0]
     truth = run.truth_enu_m[tick]
     if isinstance(tracker, Tracker):

@@ -86,6 +86,8 @@ class World:
     """Share of its variance that all vehicles have alike (satellites, ionosphere); the rest is each one's."""
     place_error_memory_s: float = 300.0
     """How long such an error lasts: a Gauss–Markov process."""
+    place_error_said: bool = False
+    """Whether the vehicles say how far off their places may be."""
     labels: Labels = Labels()
     """What is told of the states."""
     ruined_share: float = 0.0
@@ -116,6 +118,8 @@ class Run:
     """(T, 3) where the target is. Not told."""
     area: SearchArea
     """Where it may be. Told."""
+    place_std_m: tuple[float, float] | None = None
+    """What the vehicles say their places may be off by: each horizontal axis, and height; None: nothing."""
 
 
 def draw_run(world: World, path: Path, time_s: FloatArray, seed: int, number: int) -> Run:
@@ -156,6 +160,7 @@ def draw_run(world: World, path: Path, time_s: FloatArray, seed: int, number: in
     return Run(
         time_s, told_places, rss, np.arctan2(np.sin(azimuth), np.cos(azimuth)), elevation,
         world.labels.probabilities(los, told), truth, area,
+        (world.place_error_m, HEIGHT_ERROR * world.place_error_m) if world.place_error_said else None,
     )  # fmt: skip
 
 

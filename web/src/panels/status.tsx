@@ -1,8 +1,9 @@
 // For the engineer: connections, other ground stations, each vehicle's own radio and clock, and every total that
 // is not zero.
-import { age, percent, uncertainty } from "../units";
+import { age, metres, percent, uncertainty } from "../units";
 import { ageOf, type Context } from "./context";
 
+const PLACE_HELP = "What its GPS says of its own place: root mean square of the horizontal error. RTK is taken at its word; without it nobody is taken to know better than the settings assume";
 const CLOCK_HELP =
   "How far this autopilot's times may be off the station's: what TIMESYNC bounds where it answers, else an assumed delay. " +
   "Pose and radio samples come by the same radio and are late together: positions are not moved by it.";
@@ -28,14 +29,14 @@ export function Status({ context }: { context: Context }) {
         <table>
           <thead>
             <tr>
-              <th scope="col">Vehicle</th><th scope="col">Autopilot</th><th scope="col" class="number" title="Satellites in use">Satellites</th>
+              <th scope="col">Vehicle</th><th scope="col">Autopilot</th><th scope="col" class="number" title="Satellites in use">Satellites</th><th scope="col" class="number" title={PLACE_HELP}>Place</th>
               <th scope="col" class="number" title="Frames lost on the way here in the last minute">Frames lost</th><th scope="col" class="number" title={CLOCK_HELP}>Clock</th><th scope="col">Heard on</th>
             </tr>
           </thead>
           <tbody>
             {vehicles.map((row) => (
               <tr key={row.vehicle_id} data-testid={`status-vehicle-${row.vehicle_id}`}>
-                <td>{row.vehicle_id}</td><td>{row.autopilot}</td><td class="number">{row.satellites ?? "–"}</td><td class="number">{percent(row.packet_loss_percent)}</td>
+                <td>{row.vehicle_id}</td><td>{row.autopilot}</td><td class="number">{row.satellites ?? "–"}</td><td class="number" title={PLACE_HELP}>{row.position_accuracy_m === null ? "–" : `± ${metres(row.position_accuracy_m, 1)}`}</td><td class="number">{percent(row.packet_loss_percent)}</td>
                 <td class="number" title={CLOCK_HELP}>{uncertainty(row.clock_uncertainty_s)}</td><td><code>{row.connections.join(", ")}</code></td>
               </tr>
             ))}

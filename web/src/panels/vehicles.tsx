@@ -5,6 +5,8 @@ import type { VehicleRow } from "../wire";
 import { ageOf, isReplay, REPLAY_REFUSAL, type Context } from "./context";
 
 const LOW_BATTERY_PERCENT = 30;
+/** From here on bearings from 60 m off are as unsure of the place as of the direction. */
+const VAGUE_PLACE_M = 3;
 
 function Vehicle({ context, row }: { context: Context; row: VehicleRow }) {
   const key = `vehicle:${row.vehicle_id}`;
@@ -13,6 +15,7 @@ function Vehicle({ context, row }: { context: Context; row: VehicleRow }) {
   const place = row.position;
   const notes = [
     !row.position && "no position",
+    row.position_accuracy_m !== null && row.position_accuracy_m >= VAGUE_PLACE_M && `place only to ± ${metres(row.position_accuracy_m)}`,
     !row.clock_offset_known && "clock not matched",
     !row.ready && !row.armed && "not ready",
     sensor_s === null ? "no radio sensor" : sensor_s > 10 && `sensor silent ${age(sensor_s)}`,

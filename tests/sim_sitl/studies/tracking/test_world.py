@@ -9,6 +9,7 @@ import pytest
 
 from sim_sitl.studies.tracking.cases import CASES, LOS, MIXED, NLOS
 from sim_sitl.studies.tracking.paths import Path, Shape
+from sim_sitl.studies.tracking.trackers import windows_of
 from sim_sitl.studies.tracking.world import Labels, draw_run
 
 TIME_S = np.arange(121.0)
@@ -134,6 +135,18 @@ def test_a_walker_keeps_his_speed_and_stays_in_the_area_and_the_still_are_not_to
     offset = run.truth_enu_m[:, None] - run.position_enu_m
     error = run.azimuth_rad - np.arctan2(offset[..., 1], offset[..., 0])
     assert np.abs(np.remainder(error + np.pi, 2.0 * np.pi) - np.pi).max() < np.radians(10.0)
+
+
+def test_vehicles_that_say_how_vague_their_places_are_fly_the_same_runs() -> None:
+    """5 m, 10 m in height; assumed is what satellite receivers usually reach."""
+    said, unsaid = CASES["mixed-vague"], CASES["mixed-vague-unsaid"]
+    told, silent = (draw_run(case.world, case.path, np.arange(3.0), 4, 7) for case in (said, unsaid))
+    np.testing.assert_array_equal(told.position_enu_m, silent.position_enu_m)
+    np.testing.assert_array_equal(told.azimuth_rad, silent.azimuth_rad)
+    assert (told.place_std_m, silent.place_std_m) == ((5.0, 10.0), None)
+    assert {(w.position_std_m, w.height_std_m) for w in windows_of(told, 1)} == {(5.0, 10.0)}
+    assert {(w.position_std_m, w.height_std_m) for w in windows_of(silent, 1)} == {(None, None)}
+    assert said.told.model == unsaid.told.model == CASES["mixed-misplaced"].told.model
 
 
 def test_told_places_are_off_for_minutes_and_half_alike() -> None:
