@@ -41,7 +41,7 @@ Exponents go up to 8: the cover of a buried phone is the longer the flatter the 
 its own exponent, (11), to that of free space, (10). Most of the shadowing is shared: what
 stands round a phone stands there for every vehicle. Upright antennas are deaf overhead: without
 that the strongest places, a ring round the transmitter, are taken for its own (docs/flights.md).
-Places are those of a satellite receiver without corrections; with RTK set both to what it reaches."""
+Places are those of a satellite receiver without corrections, where vehicles do not say otherwise."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,7 +45,7 @@ class TrackingSettings:
     remesh_mass: float = 0.025
     """The boxes are laid anew when one that can be split holds more than this."""
     minimum_half_m: float = 0.08
-    """Half the width of the smallest box, metres; never under a quarter of ``vehicle_position_std_m``."""
+    """Half the width of the smallest box, metres; never under a quarter of the places' error."""
     sensitivity_dbm: float | None = None
     """Level from which on the receivers hear, dBm; none: learned from what each one reports."""
     detection_snr_db: float = 10.0

@@ -50,7 +50,7 @@ def test_everything_is_shown_and_nothing_is_fetched_from_elsewhere(
     page.get_by_test_id("tab-status").click()
     expect(page.get_by_test_id("status")).to_contain_text("cir_incomplete_total")
     expect(page.get_by_test_id("status-vehicle-2")).to_contain_text("± 6 ms")
-    expect(page.get_by_test_id("status-vehicle-2")).to_contain_text("± 0.0 m")
+    expect(page.get_by_test_id("status-vehicle-2")).to_contain_text("± 0.02 m")
     expect(page.get_by_test_id("status-vehicle-3")).to_contain_text("± 6.2 m")
     expect(page.get_by_test_id("status-vehicle-4")).not_to_contain_text("±")
     expect(page.get_by_title("How far this autopilot's times may be off").first).to_have_text("Clock")

@@ -147,6 +147,14 @@ def test_a_payload_from_a_newer_dialect_is_read_as_far_as_known() -> None:
     assert decode(frame_of(raw)) == m.SystemTime(0x0807060504030201, 0x0C0B0A09)
 
 
+@pytest.mark.parametrize(("told_mm", "expected_m"), [(0, None), (1, 0.001), (2**32 - 1, None)])
+def test_a_place_s_accuracy_of_nothing_or_of_all_ones_is_unknown(
+    told_mm: int, expected_m: float | None
+) -> None:
+    message = dialect.MAVLink_gps_raw_int_message(0, 3, 0, 0, 0, 0, 0, 0, 0, 9, h_acc=told_mm, v_acc=told_mm)
+    assert decode(frame(message)) == m.GpsRaw(3, 9, expected_m, expected_m)
+
+
 def test_statustext_ends_at_its_first_zero() -> None:
     assert decode(frame(dialect.MAVLink_statustext_message(2, b"Arm: GPS 1: Bad fix", 7, 1))) == m.StatusText(
         2, "Arm: GPS 1: Bad fix", 7, 1

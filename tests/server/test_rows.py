@@ -9,6 +9,7 @@ import pytest
 
 from groundstation.domain.geometry import Geodetic
 from groundstation.domain.mission import LastKnownPlace, Mission
+from groundstation.domain.vehicle import PlaceAccuracy
 from groundstation.server import rows
 
 
@@ -28,6 +29,12 @@ def test_a_clock_s_uncertainty_is_told_in_seconds_and_only_where_it_is_known(mak
     assert rows.vehicle_row(make.vehicle(clock_uncertainty_ns=2_500_000)).clock_uncertainty_s == 0.0025
     assert rows.vehicle_row(make.vehicle(clock_uncertainty_ns=0)).clock_uncertainty_s == 0.0
     assert rows.vehicle_row(make.vehicle(clock_uncertainty_ns=None)).clock_uncertainty_s is None
+
+
+def test_a_place_s_accuracy_is_told_only_where_the_vehicle_says_it(make: Any) -> None:
+    assert rows.vehicle_row(make.vehicle()).position_accuracy_m is None
+    said = make.vehicle(place_accuracy=PlaceAccuracy(6.2, 9.0, False))
+    assert rows.vehicle_row(said).position_accuracy_m == 6.2
 
 
 def test_nothing_that_json_cannot_carry_leaves(make: Any) -> None:

@@ -24,8 +24,9 @@ WALKING_TIMES_S = (*TIMES_S, 180.0, 240.0, 300.0)
 WALKING_M_S = 1.0
 """Speed of those who walk."""
 PLACE_ERROR_M = 1.0
-VAGUE_M = 5.0
 """σ of the error of a vehicle's told place where it is off, east and north each."""
+VAGUE_M = 5.0
+"""The same where a receiver sees few satellites."""
 FACTOR = 1.5
 """How far off a wrong assumption is."""
 

@@ -36,7 +36,7 @@ export function Status({ context }: { context: Context }) {
           <tbody>
             {vehicles.map((row) => (
               <tr key={row.vehicle_id} data-testid={`status-vehicle-${row.vehicle_id}`}>
-                <td>{row.vehicle_id}</td><td>{row.autopilot}</td><td class="number">{row.satellites ?? "–"}</td><td class="number" title={PLACE_HELP}>{row.position_accuracy_m === null ? "–" : `± ${metres(row.position_accuracy_m, 1)}`}</td><td class="number">{percent(row.packet_loss_percent)}</td>
+                <td>{row.vehicle_id}</td><td>{row.autopilot}</td><td class="number">{row.satellites ?? "–"}</td><td class="number" title={PLACE_HELP}>{row.position_accuracy_m === null ? "–" : `± ${metres(row.position_accuracy_m, row.position_accuracy_m < 1 ? 2 : 1)}`}</td><td class="number">{percent(row.packet_loss_percent)}</td>
                 <td class="number" title={CLOCK_HELP}>{uncertainty(row.clock_uncertainty_s)}</td><td><code>{row.connections.join(", ")}</code></td>
               </tr>
             ))}
