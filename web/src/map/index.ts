@@ -1,5 +1,5 @@
 // The map: composes the layers, keeps the view, answers to the pointer.
-import { Map as MapLibre, NavigationControl, Popup, ScaleControl, setWorkerUrl, type GeoJSONSource, type StyleSpecification } from "maplibre-gl";
+import { Map as MapLibre, NavigationControl, Popup, ScaleControl, setWorkerUrl, type GeoJSONSource, type Point, type StyleSpecification } from "maplibre-gl";
 import workerUrl from "maplibre-gl/dist/maplibre-gl-worker.mjs?worker&url";
 import "maplibre-gl/dist/maplibre-gl.css";
 import type { Fetched } from "../fetched";
@@ -96,21 +96,33 @@ export class MapView {
 
   private point(): void {
     const pointable = LAYERS.flatMap((layer) => layer.pointable ?? []);
-    const under = (at: { x: number; y: number }) =>
+    const under = (at: Point) =>
       this.ready ? this.map.queryRenderedFeatures([[at.x - 6, at.y - 6], [at.x + 6, at.y + 6]], { layers: pointable })[0] : undefined;
-    this.map.on("mousemove", (event) => {
-      const found = under(event.point);
+    let pointer: Point | null = null;
+    const tell = () => {
+      const found = pointer && under(pointer);
       this.map.getCanvas().style.cursor = found ? "pointer" : "";
-      if (!found) {
+      if (!pointer || !found) {
         this.popup.remove();
         return;
       }
       const tip = document.createElement("div");
       tip.className = "map-tip";
       tip.textContent = String(found.properties["tip"] ?? "");
-      this.popup.setLngLat(event.lngLat).setDOMContent(tip).addTo(this.map);
+      this.popup.setLngLat(this.map.unproject(pointer)).setDOMContent(tip).addTo(this.map);
+    };
+    this.map.on("mousemove", (event) => {
+      pointer = event.point;
+      tell();
     });
-    this.map.on("mouseout", () => this.popup.remove());
+    // What flies by a resting pointer, and what is new of the thing below it.
+    this.map.on("idle", () => {
+      if (pointer) tell();
+    });
+    this.map.on("mouseout", () => {
+      pointer = null;
+      tell();
+    });
     this.map.on("click", (event) => {
       const key: unknown = under(event.point)?.properties["select"];
       this.select(typeof key === "string" ? key : "");
