@@ -255,11 +255,11 @@ class Station:
             ),
             Proposal(
                 "p-1", 3, beacons[1], place(-20, 96, 50), 50.0,
-                "Crosses the blind side of the second beacon.", now, now + 55_000_000_000, 3, 12,
+                "Crosses the blind side of the second beacon.", now, now + 180_000_000_000, 3, 12,
             ),
             Proposal(
                 "p-2", 1, beacons[0], place(82, -70, 45), 45.0,
-                "A line of sight is likely from there.", now, now + 40_000_000_000, 3, 9,
+                "A line of sight is likely from there.", now, now + 120_000_000_000, 3, 9,
             ),
             CommandStatus(
                 "c-1", 2, CommandKind.REPOSITION, CommandPhase.FLYING, now - 9_000_000_000, "",
@@ -397,6 +397,20 @@ def shots(tmp_path: Path) -> Path:
     directory = Path(os.environ.get("SCREENSHOT_DIR", tmp_path))
     directory.mkdir(parents=True, exist_ok=True)
     return directory
+
+
+@pytest.fixture
+def comes_true() -> Callable[[Page, Callable[[], bool]], None]:
+    """Waits for what the map draws, which says nothing that one could wait for."""
+
+    def waited(page: Page, check: Callable[[], bool]) -> None:
+        for _ in range(60):
+            if check():
+                return
+            page.wait_for_timeout(500)
+        raise AssertionError("the map was not drawn so within half a minute")
+
+    return waited
 
 
 @pytest.fixture

@@ -17,11 +17,11 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Error, Page, expect
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 
 # Bounds, not expectations: two busy cores draw a software-rendered map beside two solvers.
 START_S = 60
-BELIEF_S = 60
+BELIEF_S = 120
 STEP_S = 45
 END_S = 40
 

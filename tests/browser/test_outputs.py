@@ -28,15 +28,6 @@ LIKELY, RING, OUTSIDE = (20, 24), (-30, 0), (-75, 0)
 not."""
 
 
-def comes_true(page: Page, check: Callable[[], bool]) -> None:
-    """Wait for what the map draws: it says nothing to wait for."""
-    for _ in range(60):
-        if check():
-            return
-        page.wait_for_timeout(500)
-    raise AssertionError("the map was not drawn so within half a minute")
-
-
 def explained(station: Any) -> None:
     """A beacon with a past, a belief, a map and reasons."""
     station.remember(int(FRESH))
@@ -82,6 +73,7 @@ def test_the_search_map_is_drawn_where_it_belongs_and_hidden_again(
     station: Any,
     errors: list[str],
     pixel: Callable[..., tuple[int, int, int]],
+    comes_true: Callable[..., None],
 ) -> None:
     station.believe(int(FRESH))
     page = open_page()
@@ -107,8 +99,9 @@ def test_the_search_map_is_drawn_where_it_belongs_and_hidden_again(
 
 
 def test_the_search_map_is_remembered_and_survives_a_lost_station(
-    open_page: Callable[..., Page], station: Any, shots: Path, pixel: Callable[..., tuple[int, int, int]]
-) -> None:
+    open_page: Callable[..., Page], station: Any, shots: Path,
+    pixel: Callable[..., tuple[int, int, int]], comes_true: Callable[..., None],
+) -> None:  # fmt: skip
     station.believe(int(FRESH))
     page = open_page()
     page.get_by_test_id("search-map").click()
