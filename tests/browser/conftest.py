@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from groundstation.domain.command import CommandKind, CommandPhase, CommandStatus, Proposal, ProposalGone
 from groundstation.domain.events import Counter, Event, Severity
@@ -47,6 +47,9 @@ from groundstation.server.picture import Picture
 from groundstation.server.rows import StationStatus
 from groundstation.server.serve import listen, serve
 from groundstation.server.settings import ServerSettings
+
+# A bound, not an expectation: two busy cores draw a software-rendered map.
+expect.set_options(timeout=15_000)
 
 FLAGS = [
     "--no-sandbox",

@@ -16,7 +16,6 @@ from playwright.sync_api import Page, expect
 from groundstation.domain.target import TargetJoined
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
-expect.set_options(timeout=15_000)
 
 BEACON = "7205759403792793601"
 OTHER = "7205759403792793777"

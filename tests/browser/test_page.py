@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +68,9 @@ def test_the_map_is_drawn_in_its_colours(
     open_page: Callable[..., Page], errors: list[str], comes_true: Callable[..., None]
 ) -> None:
     page = open_page()
-    box = page.get_by_test_id("map").bounding_box()
-    assert box is not None
 
     def colours() -> dict[str, int]:
-        image = base64.b64encode(page.screenshot(clip=box)).decode()  # type: ignore[arg-type]
+        image = base64.b64encode(page.get_by_test_id("map").screenshot()).decode()
         seen: dict[str, int] = page.evaluate(
             """async (image) => {
                 const picture = new Image();
@@ -127,6 +126,41 @@ def test_regions_are_drawn_darker_inwards_with_their_holes(
 
     comes_true(page, nested)
     page.screenshot(path=shots / "regions.png")
+    assert errors == []
+
+
+def test_a_tip_lets_the_pointer_through_and_goes_with_what_it_tells(
+    open_page: Callable[..., Page], station: Any, errors: list[str], comes_true: Callable[..., None]
+) -> None:
+    page = open_page()
+    # A click on a beacon brings it into the middle of the map.
+    page.emulate_media(reduced_motion="reduce")
+    page.get_by_test_id(f"beacon-{BEACON}").get_by_role("button").first.click()
+    box = page.get_by_test_id("map").bounding_box()
+    assert box is not None
+    tip = page.locator(".map-tip", has_text=f"Beacon {BEACON}")
+
+    def told() -> bool:
+        page.mouse.move(0, 0)
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        return tip.count() == 1
+
+    comes_true(page, told)
+    # Caught by the tip the pointer would leave the map, which would go on to tell what was.
+    assert (
+        tip.evaluate(
+            """(tip) => {
+            const box = tip.getBoundingClientRect();
+            return document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2).tagName;
+        }"""
+        )
+        == "CANVAS"
+    )
+    # The beacon is elsewhere now; the pointer rests.
+    state = station.located(int(BEACON))
+    place = state.position
+    station.feed(replace(state, position=replace(place, latitude_deg=place.latitude_deg + 5e-4)))
+    expect(tip).to_have_count(0)
     assert errors == []
 
 

@@ -116,9 +116,7 @@ export class MapView {
       tell();
     });
     // What flies by a resting pointer, and what is new of the thing below it.
-    this.map.on("idle", () => {
-      if (pointer) tell();
-    });
+    this.map.on("idle", tell);
     this.map.on("mouseout", () => {
       pointer = null;
       tell();
